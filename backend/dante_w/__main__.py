@@ -1,0 +1,5 @@
+import sys
+
+from dante_w.cli import main
+
+sys.exit(main())

@@ -1,0 +1,71 @@
+"""Rays and projections of every COLMAP camera model, in float64. Photos are never resampled.
+
+Camera space is OpenGL's: x right, y up, looking along -z. Pixels are continuous with the origin at the
+top left corner of the photo, so the centre of the first pixel is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dante_w.errors import BadInput
+from dante_w.scene_folder import Camera
+
+
+def directions(camera: Camera, pixels: np.ndarray) -> np.ndarray:
+    """Camera-space ray directions, scaled to z = -1.
+
+    Args:
+        camera: intrinsics; any COLMAP model.
+        pixels: (N, 2) continuous pixel coordinates.
+
+    Returns:
+        (N, 3) float64. Not finite where the distortion has no inverse.
+
+    Raises:
+        BadInput: the camera model or its number of parameters is unknown.
+    """
+    pixels = np.asarray(pixels, np.float64)
+    if camera.model == "PINHOLE":
+        fx, fy, cx, cy = camera.params
+        flat = (pixels - (cx, cy)) / (fx, fy)
+    else:
+        flat = np.asarray(_colmap(camera).cam_from_img(pixels), np.float64).reshape(-1, 2)
+    return np.column_stack([flat[:, 0], -flat[:, 1], -np.ones(len(flat))])
+
+
+def project(camera: Camera, camera_to_world: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Pixel coordinates of world points; NaN for points behind the camera.
+
+    Args:
+        camera: intrinsics; any COLMAP model.
+        camera_to_world: (4, 4) OpenGL pose.
+        points: (N, 3) in world units.
+
+    Returns:
+        (N, 2) float64 continuous pixel coordinates.
+
+    Raises:
+        BadInput: the camera model or its number of parameters is unknown.
+    """
+    local = (np.asarray(points, np.float64) - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]
+    local *= (1.0, -1.0, -1.0)  # COLMAP's camera space: y down, looking along +z
+    local[local[:, 2] <= 0.0] = np.nan
+    if camera.model == "PINHOLE":
+        fx, fy, cx, cy = camera.params
+        return local[:, :2] / local[:, 2:] * (fx, fy) + (cx, cy)
+    return np.asarray(_colmap(camera).img_from_cam(local), np.float64).reshape(-1, 2)
+
+
+def _colmap(camera: Camera):  # type: ignore[no-untyped-def]
+    import pycolmap  # here alone: only distorted cameras need it, and it must never meet Pillow
+
+    try:
+        return pycolmap.Camera(
+            model=camera.model, width=camera.width, height=camera.height, params=list(camera.params)
+        )
+    except (ValueError, RuntimeError) as error:
+        raise BadInput(
+            f"camera model {camera.model} with {len(camera.params)} parameters is not one of COLMAP's; "
+            "export the cameras again."
+        ) from error
