@@ -92,7 +92,9 @@ def read_scene(path: Path) -> Scene:
         if not isinstance(entries, list):
             raise TypeError
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, RecursionError) as error:
-        raise BadInput(f"{source}: not a transforms.json with a list of frames; export the scene again.") from error
+        raise BadInput(
+            f"{source}: not a transforms.json with a list of frames; export the scene again."
+        ) from error
     if not entries:
         raise BadInput(f"{source}: holds no frames; add at least one posed photo.")
     root = source.parent
@@ -179,7 +181,9 @@ def _pose(where: str, rows: Any) -> np.ndarray:
     if pose.shape == (3, 4):
         pose = np.vstack([pose, [0.0, 0.0, 0.0, 1.0]])
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise BadInput(f"{where} has a pose that is not a finite 4x4 transform_matrix; align that photo again.")
+        raise BadInput(
+            f"{where} has a pose that is not a finite 4x4 transform_matrix; align that photo again."
+        )
     rotation = pose[:3, :3]
     scale = np.cbrt(abs(np.linalg.det(rotation)))
     if scale == 0.0 or not np.allclose(rotation.T @ rotation, scale**2 * np.eye(3), atol=1e-3 * scale**2):
@@ -206,7 +210,9 @@ def _camera(where: str, entry: Mapping[str, Any]) -> Camera:
         if not isinstance(entry["params"], list):
             raise BadInput(f"{where} has params that are not a list; write COLMAP's camera parameters.")
         listed = {f"params[{i}]": value for i, value in enumerate(entry["params"])}
-        return Camera(model, width, height, tuple(_finite(where, key, value) for key, value in listed.items()))
+        return Camera(
+            model, width, height, tuple(_finite(where, key, value) for key, value in listed.items())
+        )
     if model not in (*INTRINSIC_KEYS, "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"):
         raise BadInput(f"{where} has camera_model {model}, which needs its COLMAP params as a list.")
     if "fl_x" in entry:
@@ -225,7 +231,9 @@ def _camera(where: str, entry: Mapping[str, Any]) -> Camera:
         raise BadInput(f"{where} has a focal length that is not positive; calibrate that camera again.")
     centre_x = number("cx") if "cx" in entry else width / 2.0
     centre_y = number("cy") if "cy" in entry else height / 2.0
-    distortion = {key: number(key) if key in entry else 0.0 for key in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")}
+    distortion = {
+        key: number(key) if key in entry else 0.0 for key in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+    }
     if not any(distortion.values()) and model != "OPENCV_FISHEYE":
         model = "PINHOLE"
     elif model != "OPENCV_FISHEYE":
