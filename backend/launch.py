@@ -9,6 +9,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from dante_w.cli import main  # noqa: E402
+from dante_w.cli import main
 
 sys.exit(main())
