@@ -1,0 +1,214 @@
+"""From a function of texture coordinates to the texels of an albedo texture, in bands of rows of fixed memory.
+
+Four passes over the bands, all in place in the arrays (or memory maps) given, so a 16384^2 texture is never in memory:
+
+1. texels on the mesh that photos saw get the albedo at their centre; texels just outside a chart that a bilinear
+   lookup inside it may read get the albedo of the chart's nearest point, so no chart ever borrows from another;
+2. every other texel is filled smoothly from the seen ones (push-pull), so that mipmaps never bleed black;
+3. the gutter: texels near a chart, outside it, take over the nearest texel of a chart;
+4. working marks leave the coverage.
+
+Filling is done on linear colour. The result does not depend on the height of the bands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+
+from dante_w import pushpull
+from dante_w.coverage import Coverage, seen
+from dante_w.texture_encoding import decode_rows, encode_rows
+from dante_w.uvmap import Bins, bin_faces, rasterise_bins, rasterise_border
+
+OUTSIDE, BORDER, FILLED, SEEN = 0, 64, 128, 255  # BORDER only while baking
+
+_BAND_TEXELS = 1 << 20
+_CHUNK = 1 << 18
+
+Texels = Callable[[np.ndarray], np.ndarray]
+
+
+def bake(
+    texels: Texels,
+    uvs: np.ndarray,
+    coverage: Coverage,
+    gutter: int,
+    out: np.ndarray,
+    coverage_out: np.ndarray,
+    progress: Callable[[float], None] = lambda fraction: None,
+    band_rows: int | None = None,
+) -> float:
+    """Bake a texture.
+
+    Args:
+        texels: (N, 2) float64 uv -> (N, 3) linear albedo, N at most 262144. It is asked only about places that photos
+            saw. What it gives that is not finite counts as not seen.
+        uvs: (F, 3, 2) UV triangles.
+        coverage: what the photos saw, of the texture's size.
+        gutter: how far, in texels, charts are continued outwards (0 or more).
+        out: (H, W, 3) to write: uint8 or uint16 (sRGB) or float16 or float32 (linear); row 0 is the top row.
+        coverage_out: (H, W) uint8 to write: 255 seen, 128 on the mesh but filled, 0 outside every chart.
+        progress: called after each band with the fraction done; whatever it raises ends the bake.
+        band_rows: rows at a time; by default about a million texels.
+
+    Returns:
+        The fraction of the texels on the mesh that were seen; 0 when there are none.
+
+    Raises:
+        ValueError: the sizes disagree, or the dtype of out is none of the four.
+    """
+    height, width = coverage.height, coverage.width
+    if (
+        out.shape != (height, width, 3)
+        or coverage_out.shape != (height, width)
+        or coverage_out.dtype != np.uint8
+    ):
+        raise ValueError(
+            f"textures {out.shape}, {coverage_out.shape} {coverage_out.dtype} for {width} x {height}"
+        )
+    encode_rows(np.zeros((1, 3), np.float32), out.dtype)
+    bins = bin_faces(uvs, width, height)
+    step = band_rows or max(16, _BAND_TEXELS // width)
+    bands = [(r0, min(r0 + step, height)) for r0 in range(0, height, step)]
+    pyramid = pushpull.empty(width, height)
+    on_mesh = on_photos = 0
+    for n, rows in enumerate(bands):
+        marks = _evaluate_band(texels, bins, coverage, rows, out, pyramid)
+        coverage_out[rows[0] : rows[1]] = marks
+        on_mesh += int(np.count_nonzero(marks >= FILLED))
+        on_photos += int(np.count_nonzero(marks == SEEN))
+        progress((n + 1) / len(bands) * 0.7)
+    pyramid.solve()
+    for n, rows in enumerate(bands):
+        _fill_band(pyramid, rows, out, coverage_out)
+        progress(0.7 + (n + 1) / len(bands) * 0.2)
+    for n, rows in enumerate(bands):
+        _gutter_band(rows, gutter, out, coverage_out)
+        progress(0.9 + (n + 1) / len(bands) * 0.09)
+    for r0, r1 in bands:
+        marks = coverage_out[r0:r1]
+        marks[marks == BORDER] = OUTSIDE
+    progress(1.0)
+    return on_photos / on_mesh if on_mesh else 0.0
+
+
+def _evaluate_band(
+    texels: Texels,
+    bins: Bins,
+    coverage: Coverage,
+    rows: tuple[int, int],
+    out: np.ndarray,
+    pyramid: pushpull.Pyramid,
+) -> np.ndarray:
+    """Pass 1: write the colours of seen texels of a band, add them to the pyramid, return the band's marks."""
+    r0, r1 = rows
+    width, height = bins.width, bins.height
+    owner = rasterise_bins(bins, rows)
+    above, below = max(r0 - 2, 0), min(r1 + 2, height)
+    band_seen = seen(coverage, (above, below))
+    marks = np.where(owner < 0, OUTSIDE, FILLED).astype(np.uint8).reshape(-1)
+    index = np.flatnonzero((owner >= 0) & band_seen[r0 - above : r1 - above])
+    for start in range(0, len(index), _CHUNK):
+        part = index[start : start + _CHUNK]
+        row, column = np.divmod(part, width)
+        uv = np.stack([(column + 0.5) / width, 1.0 - (row + r0 + 0.5) / height], axis=1)
+        _write(texels, uv, part, rows, out, marks, SEEN, pyramid)
+    index, uv = rasterise_border(bins, rows, owner)
+    # A border texel was seen if the texel that holds the chart's nearest point was.
+    column = (uv[:, 0] * width).astype(np.int64).clip(0, width - 1)
+    row = ((1.0 - uv[:, 1]) * height).astype(np.int64).clip(above, below - 1)
+    asked = band_seen[row - above, column]
+    index, uv = index[asked], uv[asked]
+    for start in range(0, len(index), _CHUNK):
+        chunk = slice(start, start + _CHUNK)
+        _write(texels, uv[chunk], index[chunk], rows, out, marks, BORDER, pyramid)
+    return marks.reshape(owner.shape)
+
+
+def _write(
+    texels: Texels,
+    uv: np.ndarray,
+    index: np.ndarray,
+    rows: tuple[int, int],
+    out: np.ndarray,
+    marks: np.ndarray,
+    mark: int,
+    pyramid: pushpull.Pyramid,
+) -> None:
+    """Ask for the colours at uv and put them at the flat indices into the band `rows`."""
+    colour = np.asarray(texels(uv), np.float32)
+    good = np.isfinite(colour).all(axis=1)
+    colour, index = colour[good], index[good]
+    row, column = np.divmod(index, out.shape[1])
+    out[row + rows[0], column] = encode_rows(colour, out.dtype)
+    marks[index] = mark
+    if mark == SEEN:
+        pyramid.add(row + rows[0], column, colour)
+
+
+def _fill_band(pyramid: pushpull.Pyramid, rows: tuple[int, int], out: np.ndarray, marks: np.ndarray) -> None:
+    """Pass 2: push-pull into what is neither seen nor border."""
+    for r0 in range(*rows, 64):
+        r1 = min(r0 + 64, rows[1])
+        first, last = pyramid.needs((r0, r1))
+        known = marks[first:last] == SEEN
+        filled = pyramid.fill((r0, r1), decode_rows(np.asarray(out[first:last])), known)
+        empty = (marks[r0:r1] != SEEN) & (marks[r0:r1] != BORDER)
+        row, column = np.nonzero(empty)
+        out[row + r0, column] = encode_rows(filled[row, column], out.dtype)
+
+
+def _gutter_band(rows: tuple[int, int], gutter: int, out: np.ndarray, marks: np.ndarray) -> None:
+    """Pass 3: texels outside every chart within the gutter take the nearest texel of a chart, colour and all."""
+    if gutter < 1:
+        return
+    r0, r1 = rows
+    first, last = max(r0 - gutter, 0), min(r1 + gutter, marks.shape[0])
+    source = _nearest(np.asarray(marks[first:last]), r0 - first, r1 - first, gutter)
+    row, column = np.nonzero(source >= 0)
+    from_row, from_column = np.divmod(source[row, column], marks.shape[1])
+    out[row + r0, column] = out[from_row + first, from_column]
+
+
+@njit(cache=True)
+def _nearest(marks: np.ndarray, top: int, bottom: int, gutter: int) -> np.ndarray:
+    """For rows top..bottom-1: flat index of the nearest marked texel nearer than gutter + 1, else or if marked: -1.
+
+    Ties: the nearer column, the left one, the upper row.
+    """
+    rows, width = marks.shape
+    far = gutter + 1
+    near = np.full(
+        (bottom - top, width), far, np.int32
+    )  # signed rows to the nearest marked texel of the column
+    for i in range(width):
+        since = far
+        for j in range(rows):
+            since = 0 if marks[j, i] > 0 else since + 1
+            if top <= j < bottom and since < far:
+                near[j - top, i] = -since
+        since = far
+        for j in range(rows - 1, -1, -1):
+            since = 0 if marks[j, i] > 0 else since + 1
+            if top <= j < bottom and since < abs(near[j - top, i]):
+                near[j - top, i] = since
+    source = np.full((bottom - top, width), -1, np.int64)
+    for j in range(bottom - top):
+        for i in range(width):
+            if near[j, i] == 0:
+                continue
+            best = far * far
+            for reach in range(far):
+                if reach * reach >= best:
+                    break
+                for side in range(-1, 2, 2):
+                    k = i + side * reach
+                    if 0 <= k < width:
+                        distance = reach * reach + near[j, k] * near[j, k]
+                        if distance < best:
+                            best = distance
+                            source[j, i] = (j + top + near[j, k]) * width + k
+    return source
