@@ -1,0 +1,207 @@
+"""Photos, masks and textures in and out, through OpenImageIO.
+
+Arrays are (height, width[, channels]) with row 0 at the top. Integer files (PNG, JPEG, 8/16-bit TIFF, WebP)
+hold sRGB-encoded values; float files (EXR, HDR, float TIFF) hold linear Rec.709. The EXIF orientation is
+ignored on purpose: poses refer to the pixels as stored, in COLMAP as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813
+
+from dante_w.color import linear_from_srgb_array, srgb_from_linear_array
+from dante_w.errors import BadInput, OutOfRoom
+
+FORMATS = ("png", "jpeg", "tiff", "openexr", "hdr", "webp")
+MAX_SAMPLES = 2**30  #: width x height x channels, a 16384 x 16384 RGBA texture; more is a broken header
+FOREGROUND = 0.95  #: alpha above this is foreground
+_BAND = 256  #: scanlines handed to a writer at once
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One photo: `srgb` float32 (H, W, 3), sRGB-encoded, above 1 where a float file is brighter than
+    white; `foreground` bool (H, W), the pixels to explain."""
+
+    srgb: np.ndarray
+    foreground: np.ndarray
+
+
+def read_size(path: Path) -> tuple[int, int]:
+    """Width and height in pixels, from the header alone.
+
+    Raises:
+        BadInput: the file is missing or not an image.
+    """
+    source = _open(path)
+    spec = source.spec()
+    source.close()
+    return spec.full_width, spec.full_height
+
+
+def read_photo(path: Path, mask: Path | None = None) -> Photo:
+    """Read a photo, its alpha and its optional mask file.
+
+    Foreground is what has alpha above 0.95 (photos without alpha: everything), is above 0.5 in the mask's
+    first channel, and is finite; other non-finite pixels are set to 0.
+
+    Raises:
+        BadInput: a file is missing, damaged or too large, or the mask has another size than the photo.
+        OutOfRoom: the photo does not fit in memory.
+    """
+    colour, alpha, linear = _read(path)
+    finite = np.isfinite(colour).all(axis=2)
+    if not finite.all():
+        colour[~finite] = 0.0
+    srgb = srgb_from_linear_array(colour) if linear else colour
+    foreground = finite if alpha is None else finite & (alpha > FOREGROUND)
+    if mask is not None:
+        inside = _read(mask)[0][:, :, 0]
+        if inside.shape != foreground.shape:
+            raise BadInput(
+                f"{mask}: the mask is {inside.shape[1]} x {inside.shape[0]} pixels but its photo is "
+                f"{foreground.shape[1]} x {foreground.shape[0]}; export it at the photo's size."
+            )
+        foreground = foreground & (inside > 0.5)
+    return Photo(srgb, foreground)
+
+
+def read_texture(path: Path) -> np.ndarray:
+    """Any texture as float32 linear Rec.709 (H, W, 3); integer files are decoded from sRGB.
+
+    Raises:
+        BadInput: the file is missing, damaged or too large.
+        OutOfRoom: the texture does not fit in memory.
+    """
+    colour, _, linear = _read(path)
+    return colour if linear else linear_from_srgb_array(colour)
+
+
+def write_png(path: Path, srgb: np.ndarray) -> None:
+    """Write sRGB-encoded uint8 or uint16 (H, W, 3) as PNG; (H, W) is written as grey.
+
+    Raises:
+        OutOfRoom: the disk is full.
+        BadInput: the file cannot be created.
+    """
+    if srgb.dtype not in (np.uint8, np.uint16):
+        raise TypeError(f"a PNG holds uint8 or uint16, not {srgb.dtype}")
+    _write(path, srgb, {"oiio:ColorSpace": "srgb_rec709_scene"})
+
+
+def write_exr(path: Path, linear: np.ndarray) -> None:
+    """Write linear Rec.709 float16 or float32 (H, W, 3) as a losslessly compressed OpenEXR file.
+
+    Raises:
+        OutOfRoom: the disk is full.
+        BadInput: the file cannot be created.
+    """
+    if linear.dtype not in (np.float16, np.float32):
+        raise TypeError(f"an EXR holds float16 or float32, not {linear.dtype}")
+    _write(path, linear, {"oiio:ColorSpace": "lin_rec709_scene", "compression": "zip"})
+
+
+def _open(path: Path) -> Any:
+    """An open reader of a flat image of sane size."""
+    if not Path(path).is_file():
+        raise BadInput(f"{path}: there is no such image; correct its path or copy it there.")
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    source = oiio.ImageInput.open(str(path), config)
+    if source is None:
+        raise BadInput(f"{path}: cannot be read as an image ({_first_line(oiio.geterror())}); save it again.")
+    spec = source.spec()
+    if source.format_name() not in FORMATS:
+        raise BadInput(f"{path}: images of this kind are not read; save it as PNG, JPEG, TIFF or EXR.")
+    if spec.deep or spec.full_depth > 1 or spec.depth > 1:
+        raise BadInput(f"{path}: a deep or volume image is not a photo; save it as a flat image.")
+    # the picture is the display window; the data window may be cropped or reach beyond it
+    for width, height in ((spec.width, spec.height), (spec.full_width, spec.full_height)):
+        if width < 1 or height < 1 or width * height * max(spec.nchannels, 3) > MAX_SAMPLES:
+            raise BadInput(
+                f"{path}: a size of {width} x {height} with {spec.nchannels} channels is too large or empty; "
+                "save it smaller."
+            )
+    return source
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None, bool]:
+    """Colour float32 (H, W, 3) as stored, straight; alpha (H, W) or None; whether the colour is linear."""
+    source = _open(path)
+    spec = source.spec()
+    try:
+        pixels = source.read_image(oiio.FLOAT)
+    except MemoryError as error:
+        raise OutOfRoom(f"{path}: does not fit in memory; use a smaller image.") from error
+    damaged = pixels is None or source.has_error  # a cut JPEG yields pixels and an error
+    message = source.geterror()
+    source.close()
+    if damaged:
+        raise BadInput(f"{path}: is damaged ({_first_line(message)}); copy or save it again.")
+    pixels = _display_window(pixels.reshape(spec.height, spec.width, spec.nchannels), spec)
+    index = spec.alpha_channel
+    alpha = pixels[:, :, index] if 0 <= index < spec.nchannels else None
+    names = list(spec.channelnames)
+    if {"R", "G", "B"} <= set(names):
+        chosen = [names.index(name) for name in "RGB"]
+    else:
+        others = [i for i in range(spec.nchannels) if i != index]
+        chosen = others[:3] if len(others) >= 3 else others[:1] * 3
+    if not chosen:
+        raise BadInput(f"{path}: holds alpha but no colour; save it with its colour channels.")
+    colour = pixels if chosen == list(range(spec.nchannels)) else pixels[:, :, chosen]
+    if alpha is not None and not spec.getattribute("oiio:UnassociatedAlpha"):
+        partial = (alpha > 0.0) & (alpha < 1.0)  # premultiplied
+        colour[partial] /= alpha[partial][:, None]
+    linear = spec.format.basetype in (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
+    return np.ascontiguousarray(colour), alpha, linear
+
+
+def _display_window(pixels: np.ndarray, spec: Any) -> np.ndarray:
+    """Crop or pad (H, W, C) with zeros from the data window to the display window."""
+    left, top = spec.x - spec.full_x, spec.y - spec.full_y
+    if (left, top, spec.width, spec.height) == (0, 0, spec.full_width, spec.full_height):
+        return pixels
+    whole = np.zeros((spec.full_height, spec.full_width, spec.nchannels), np.float32)
+    rows = slice(max(top, 0), max(min(top + spec.height, spec.full_height), 0))
+    columns = slice(max(left, 0), max(min(left + spec.width, spec.full_width), 0))
+    part = whole[rows, columns]
+    if part.size:
+        part[...] = pixels[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
+    return whole
+
+
+def _write(path: Path, pixels: np.ndarray, attributes: dict[str, str]) -> None:
+    height, width = pixels.shape[:2]
+    kind = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}[pixels.dtype.name]
+    spec = oiio.ImageSpec(width, height, pixels.shape[2] if pixels.ndim == 3 else 1, kind)
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    target = oiio.ImageOutput.create(str(path))
+    if target is None or not target.open(str(path), spec):
+        message = (target or oiio).geterror()
+        raise BadInput(
+            f"{path}: cannot be written ({_first_line(message)}); choose a folder you may write to."
+        )
+    failure = ""
+    for top in range(0, height, _BAND):
+        band = np.ascontiguousarray(pixels[top : top + _BAND]).reshape(-1, width, spec.nchannels)
+        written = target.write_scanlines(top, top + len(band), 0, band)
+        if not written or target.has_error:  # the PNG writer says True on a full disk
+            failure = target.geterror() or "no reason given"
+            break  # writing on after a failure can hang
+    closed = target.close()
+    failure = failure or target.geterror() or ("" if closed else "no reason given")
+    if failure:
+        if not path.is_symlink():
+            path.unlink(missing_ok=True)
+        raise OutOfRoom(f"{path}: could not be written ({_first_line(failure)}); free some disk space.")
+
+
+def _first_line(message: str) -> str:
+    return message.strip().split("\n")[0] or "no reason given"
