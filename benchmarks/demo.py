@@ -16,7 +16,7 @@ from command import ROOT, blender, dante_w
 from gigalit import score
 from metrics import psnr
 from pictures import PAPER, caption, grid, read, read_on_paper, write
-from views import linear_texture, test_frames, viewer_of
+from views import linear_texture, viewer_of
 
 HELD_OUT = "sunset"
 SCENE = [
@@ -24,8 +24,8 @@ SCENE = [
     *("--lightings", "4", "--suns", "1", "--train-hdris", "city", "courtyard", "forest", "sunrise"),
     *("--held-out", HELD_OUT),
 ]
-VIEW = 3  # the test view shown
-PHOTO = 0  # the photo shown
+VIEW = 0  # the test view shown
+PHOTO = 3  # the photo shown
 
 
 def main() -> None:
@@ -71,15 +71,15 @@ def say(text: str) -> None:
 def picture(out: Path, scores: dict[str, dict[str, float]]) -> np.ndarray:
     """Photo, averaged texture, recovered albedo; truth, relit truth, relit result."""
     scene = out / "scene"
-    frame = test_frames(scene)[VIEW]
+    true_albedo = scene / f"test/albedo_{VIEW:03}.png"
 
     def decibels(name: str) -> str:
         values = scores[name]
         return f"{values['PSNR']:.1f} dB, {values['PSNR after gain']:.1f} dB after one gain per channel"
 
     def seen(result: Path) -> np.ndarray:
-        view, _ = viewer_of(result, scene).view(linear_texture(result), frame)
-        _, alpha = read(frame.image)
+        view, _ = viewer_of(result, scene).view(linear_texture(result), VIEW)
+        _, alpha = read(true_albedo)
         return view * alpha[..., None] + PAPER * (1.0 - alpha[..., None])
 
     relit = {name: out / "relit" / f"{name}_{HELD_OUT}_{VIEW:03}.png" for name in ("truth", "result")}
@@ -94,7 +94,7 @@ def picture(out: Path, scores: dict[str, dict[str, float]]) -> np.ndarray:
         ),
         (seen(out / "averaged"), "Photos averaged on the texture", decibels("photos averaged")),
         (seen(out / "recovered"), "Albedo recovered by DANTE-W", decibels("DANTE-W")),
-        (read_on_paper(frame.image), "True albedo", "painted, known only to the renderer"),
+        (read_on_paper(true_albedo), "True albedo", "painted, known only to the renderer"),
         (read_on_paper(relit["truth"]), "True albedo, relit", "Cycles, an HDRI and a sun no photo saw"),
         (read_on_paper(relit["result"]), "Recovered albedo, relit", f"{relit_psnr:.1f} dB"),
     ]

@@ -17,7 +17,7 @@ import numpy as np
 from command import ROOT, dante_w
 from metrics import psnr, psnr_after_gain
 from pictures import read
-from views import linear_texture, test_frames, viewer_of
+from views import linear_texture, viewer_of
 
 #: A picture, the truth and a mask (H, W) to one number, for each column of the table.
 METRICS: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray], float]] = {
@@ -74,9 +74,9 @@ def score(result: Path, scene: Path) -> dict[str, float]:
     """Every metric of a result's albedo, mean over the scene's test views."""
     viewer, texture = viewer_of(result, scene), linear_texture(result)
     values: dict[str, list[float]] = {name: [] for name in METRICS}
-    for frame in test_frames(scene):
-        truth, alpha = read(frame.image)
-        picture, full = viewer.view(texture, frame)
+    for index, file in enumerate(viewer.truth):
+        truth, alpha = read(file)
+        picture, full = viewer.view(texture, index)
         mask = full & (alpha > 0.999)
         for name, metric in METRICS.items():
             values[name].append(metric(picture, truth, mask))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from dante_w.cameras import directions
-from dante_w.mesh import Mesh, read_mesh
+from dante_w.mesh import read_mesh
 from dante_w.raycast import Frame3D, Raycaster
-from dante_w.scene_folder import Frame, read_scene
+from dante_w.scene_folder import Camera, read_scene
 from metrics import linear_from_srgb, srgb_from_linear
 from pictures import read
 
@@ -16,32 +17,52 @@ RAYS = 3  # along each side of a pixel: edges in the texture are averaged as a r
 
 
 class Viewer:
-    """Looks at a mesh wearing any texture of its UVs."""
+    """Shows any texture of a mesh's UVs in the test cameras of a scene. `truth` are their true albedo pictures."""
 
-    def __init__(self, mesh_file: Path) -> None:
-        self.mesh: Mesh = read_mesh(mesh_file)
-        self.frame3d = Frame3D.of(self.mesh.vertices)
-        self.caster = Raycaster(self.mesh, self.frame3d)
+    def __init__(self, mesh_file: Path, scene: Path) -> None:
+        self.frames = read_scene(scene / "transforms_test.json").frames
+        self.truth = [frame.image for frame in self.frames]
+        self._mesh = read_mesh(mesh_file)
+        if self._mesh.uvs is None:
+            raise ValueError(f"{mesh_file} has no UVs")
+        self._frame3d = Frame3D.of(self._mesh.vertices)
+        self._caster = Raycaster(self._mesh, self._frame3d)
+        self._seen: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
-    def view(self, texture: np.ndarray, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def view(self, texture: np.ndarray, index: int) -> tuple[np.ndarray, np.ndarray]:
         """The sRGB picture (H, W, 3) of a linear `texture` in one camera, and where the mesh fills the pixel."""
-        width, height = frame.camera.width, frame.camera.height
-        origin = self.frame3d.normalise(frame.camera_to_world[:3, 3])
-        total, count = np.zeros((width * height, 3)), np.zeros(width * height)
-        column, row = np.meshgrid(np.arange(width), np.arange(height))
-        for shift in np.ndindex(RAYS, RAYS):
-            offset = (np.array(shift) + 0.5) / RAYS
-            pixels = np.column_stack([column.ravel(), row.ravel()]) + offset
-            rays = directions(frame.camera, pixels) @ frame.camera_to_world[:3, :3].T
-            hits = self.caster.cast(origin, rays)
-            weights = np.column_stack([1.0 - hits.bary.sum(axis=1), hits.bary])
-            assert self.mesh.uvs is not None
-            uv = np.einsum("nc,ncd->nd", weights, self.mesh.uvs[hits.face])
-            total[hits.ray] += lookup(texture, uv)
-            count[hits.ray] += 1.0
-        linear = total / np.maximum(count, 1.0)[:, None]
-        full = (count == RAYS * RAYS).reshape(height, width)
-        return srgb_from_linear(linear).reshape(height, width, 3), full
+        if index not in self._seen:
+            self._seen[index] = self._trace(index)
+        pixel, uv = self._seen[index]
+        camera = self.frames[index].camera
+        size = camera.width * camera.height
+        count = np.bincount(pixel, minlength=size)
+        colours = lookup(texture, uv)
+        total = np.stack([np.bincount(pixel, channel, size) for channel in colours.T], axis=-1)
+        picture = srgb_from_linear(total / np.maximum(count, 1)[:, None])
+        shape = (camera.height, camera.width)
+        return picture.reshape(*shape, 3), (count == RAYS * RAYS).reshape(shape)
+
+    def _trace(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Pixel (N,) and texture coordinate (N, 2) of every ray that meets the mesh."""
+        frame = self.frames[index]
+        origin = self._frame3d.normalise(frame.camera_to_world[:3, 3])
+        hits = self._caster.cast(origin, pixel_rays(frame.camera) @ frame.camera_to_world[:3, :3].T)
+        weights = np.column_stack([1.0 - hits.bary.sum(axis=1), hits.bary])
+        uv = np.einsum("nc,ncd->nd", weights, self._mesh.uvs[hits.face])
+        return (hits.ray // (RAYS * RAYS)).astype(np.int32), uv.astype(np.float32)
+
+
+def pixel_rays(camera: Camera) -> np.ndarray:
+    """(H W RAYS^2, 3) directions in camera space, pixel after pixel in raster order."""
+    offsets = (np.arange(RAYS) + 0.5) / RAYS
+    row, column, dy, dx = np.meshgrid(
+        np.arange(camera.height), np.arange(camera.width), offsets, offsets, indexing="ij"
+    )
+    return directions(camera, np.column_stack([(column + dx).ravel(), (row + dy).ravel()]))
 
 
 def lookup(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
@@ -57,11 +78,6 @@ def lookup(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return upper * (1.0 - fy) + lower * fy
 
 
-def test_frames(scene: Path) -> list[Frame]:
-    """The test cameras of a scene; each frame's image is its true albedo."""
-    return read_scene(scene / "transforms_test.json").frames
-
-
 def linear_texture(result: Path) -> np.ndarray:
     """The albedo of a result folder (or a texture file), linear, top row first."""
     file = result if result.is_file() else next(result.glob("albedo.[pe][nx][gr]"))
@@ -72,4 +88,9 @@ def linear_texture(result: Path) -> np.ndarray:
 def viewer_of(result: Path, scene: Path) -> Viewer:
     """A viewer of the mesh that `result`'s texture belongs to: the scene's, unless new UVs were made."""
     own = result / "mesh.obj"
-    return Viewer(own if own.is_file() else scene / "mesh.obj")
+    return _viewer(own if own.is_file() else scene / "mesh.obj", scene)
+
+
+@lru_cache(maxsize=2)
+def _viewer(mesh_file: Path, scene: Path) -> Viewer:
+    return Viewer(mesh_file, scene)
