@@ -1,0 +1,134 @@
+"""The triangle mesh, read from OBJ, PLY or GLB and written as OBJ.
+
+Coordinates are the file's own, never rotated or scaled (a GLB keeps glTF's y up, with its nodes applied);
+photos' poses refer to the same axes. UVs follow Blender and OBJ: v grows upwards, (0, 0) is the lower left
+corner of the texture. They are never wrapped, clipped or otherwise changed.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dante_w.errors import BadInput, OutOfRoom
+from dante_w.mesh_glb import parse_glb
+from dante_w.mesh_obj import parse_obj
+from dante_w.mesh_ply import parse_ply
+
+_PARSERS = {".obj": parse_obj, ".ply": parse_ply, ".glb": parse_glb}
+_BROKEN = (
+    ValueError,  # with UnicodeDecodeError and JSONDecodeError
+    TypeError,
+    IndexError,
+    KeyError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    struct.error,
+)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles: `vertices` float64 (V, 3), `faces` int32 (F, 3) indices of vertices, `uvs` float64
+    (F, 3, 2) per corner or None. Faces keep the file's order; polygons are cut into fans. A corner that
+    has no UV in a mesh where others do has (0, 0)."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    uvs: np.ndarray | None
+
+
+def read_mesh(path: Path) -> Mesh:
+    """Read a mesh by its file ending: .obj, .ply (ASCII and binary) or .glb.
+
+    Raises:
+        BadInput: the file is missing, malformed, of another kind, has no faces or has numbers that are
+            not finite.
+        OutOfRoom: the mesh does not fit in memory.
+    """
+    path = Path(path)
+    parse = _PARSERS.get(path.suffix.lower())
+    if parse is None:
+        raise BadInput(f"{path}: meshes of this kind are not read; export the mesh as .obj, .ply or .glb.")
+    try:
+        vertices, faces, uvs = parse(path.read_bytes())
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
+    except FileNotFoundError as error:
+        raise BadInput(f"{path}: there is no such mesh; correct its path or copy it there.") from error
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); check the file.") from error
+    except MemoryError as error:
+        raise OutOfRoom(f"{path}: does not fit in memory; use a mesh with fewer faces.") from error
+    except _BROKEN as error:
+        kind = path.suffix[1:].upper()
+        raise BadInput(f"{path}: is not a well-formed {kind} mesh; export it again.") from error
+    return checked(path, vertices, faces, uvs)
+
+
+def checked(path: Path, vertices: np.ndarray, faces: np.ndarray, uvs: np.ndarray | None) -> Mesh:
+    """A Mesh of these arrays. Raises BadInput, naming `path`, where they do not make one."""
+    if len(faces) == 0:
+        raise BadInput(f"{path}: the mesh has no faces; export it with its faces.")
+    if len(vertices) > np.iinfo(np.int32).max or len(faces) > np.iinfo(np.int32).max:
+        raise BadInput(f"{path}: the mesh is too large; decimate it.")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        bad = int(np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))[0])
+        raise BadInput(f"{path}: face {bad} names a vertex that is not there; export the mesh again.")
+    finite = np.isfinite(vertices).all(axis=1)
+    if not finite.all():
+        bad = int(np.argmin(finite))
+        raise BadInput(f"{path}: vertex {bad} is not finite; remove it and export the mesh again.")
+    if uvs is not None and not np.isfinite(uvs).all():
+        bad = int(np.argmin(np.isfinite(uvs).all(axis=(1, 2))))
+        raise BadInput(f"{path}: face {bad} has a UV that is not finite; unwrap the mesh again.")
+    return Mesh(
+        np.ascontiguousarray(vertices, np.float64),
+        np.ascontiguousarray(faces, np.int32),
+        None if uvs is None else np.ascontiguousarray(uvs, np.float64),
+    )
+
+
+def write_obj(path: Path, mesh: Mesh) -> None:
+    """Write OBJ. Every number reads back as the same float64, in as few digits as that takes; vertices
+    and faces keep their order, equal UVs are written once.
+
+    Raises:
+        OutOfRoom: the disk is full.
+        BadInput: the file cannot be created.
+    """
+    try:
+        with open(path, "w", encoding="ascii", newline="\n") as target:
+            target.writelines(f"v {x!r} {y!r} {z!r}\n" for x, y, z in mesh.vertices.tolist())
+            if mesh.uvs is None:
+                target.writelines(f"f {a} {b} {c}\n" for a, b, c in (mesh.faces + 1).tolist())
+            else:
+                table, index = unique_rows(mesh.uvs.reshape(-1, 2))
+                target.writelines(f"vt {u!r} {v!r}\n" for u, v in table.tolist())
+                corners = np.stack([mesh.faces + 1, index.reshape(-1, 3) + 1], axis=2).reshape(-1, 6)
+                target.writelines(f"f {a}/{i} {b}/{j} {c}/{k}\n" for a, i, b, j, c, k in corners.tolist())
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", None)):
+            if not os.path.islink(path):
+                Path(path).unlink(missing_ok=True)
+            raise OutOfRoom(f"{path}: the disk is full; free some space.") from error
+        raise BadInput(
+            f"{path}: cannot be written ({error.strerror}); choose a folder you may write to."
+        ) from error
+
+
+def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The distinct rows of float64 (N, 2), bit for bit, in order of first use, and for each row the index
+    of its like: `table[index] == rows`."""
+    keys = np.ascontiguousarray(rows, np.float64).view(np.dtype((np.void, 16))).ravel()
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return rows[first[order]], rank[inverse]

@@ -1,0 +1,165 @@
+"""Binary glTF 2.0 (.glb): every triangle of the scene, with its nodes' transforms applied."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import numpy as np
+
+from dante_w.errors import BadInput
+from dante_w.mesh_obj import Arrays
+
+_KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
+_COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+_TRIANGLES = 4
+_DEEPEST = 200  #: nodes within nodes; more is a loop
+
+
+def parse_glb(data: bytes) -> Arrays:
+    """Vertices float64 (V, 3) in glTF's axes (y up), faces int64 (F, 3), UVs float64 (F, 3, 2) or None.
+
+    UVs are TEXCOORD_0 with v turned to grow upwards. Primitives of points and lines are skipped, one
+    without UVs gets (0, 0) where others have them. Skins and morph targets are not applied.
+
+    Raises:
+        BadInput: a sentence without the file's name. ValueError, KeyError, IndexError, TypeError,
+            struct.error, RecursionError: the file is malformed.
+    """
+    document, binary = _chunks(data)
+    used = [*document.get("extensionsRequired", []), *document.get("extensionsUsed", [])]
+    parts: list[Arrays] = []
+    for mesh, matrix in _placed_meshes(document):
+        for primitive in document["meshes"][mesh]["primitives"]:
+            if any(name in primitive.get("extensions", {}) for name in _COMPRESSED):
+                raise BadInput("the mesh is compressed (Draco or meshopt); export it without compression.")
+            part = _primitive(document, binary, primitive)
+            if part is not None:
+                parts.append(_moved(part, matrix))
+    if any(name in used for name in _COMPRESSED[1:]):
+        raise BadInput("the mesh is compressed (Draco or meshopt); export it without compression.")
+    if not parts:
+        raise BadInput("the mesh has no faces; export it with its faces.")
+    starts = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
+    vertices = np.concatenate([part[0] for part in parts])
+    faces = np.concatenate([part[1] + start for part, start in zip(parts, starts[:-1], strict=True)])
+    if all(uvs is None for _, _, uvs in parts):
+        return vertices, faces, None
+    filled = [np.zeros((len(part[1]), 3, 2)) if part[2] is None else part[2] for part in parts]
+    return vertices, faces, np.concatenate(filled)
+
+
+def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
+    if data[:4] != b"glTF":
+        raise BadInput("is not a binary glTF file; export it as .glb.")
+    if struct.unpack_from("<I", data, 4)[0] != 2:
+        raise BadInput("is not glTF version 2; export it with a newer program.")
+    document, binary = None, b""
+    position = 12
+    while position + 8 <= len(data):
+        length, kind = struct.unpack_from("<I4s", data, position)
+        content = data[position + 8 : position + 8 + length]
+        if len(content) != length:
+            raise ValueError("the file ends early")
+        if kind == b"JSON" and document is None:
+            document = json.loads(content)
+        elif kind == b"BIN\0" and not binary:
+            binary = content
+        position += 8 + length + -length % 4
+    if not isinstance(document, dict):
+        raise ValueError("no JSON chunk")
+    return document, binary
+
+
+def _placed_meshes(document: dict[str, Any]) -> list[tuple[int, np.ndarray]]:
+    """(mesh, 4x4 world matrix) of every node that shows a mesh."""
+    nodes = document.get("nodes", [])
+    scenes = document.get("scenes", [])
+    if scenes:
+        roots = scenes[document.get("scene", 0)].get("nodes", [])
+    else:
+        children = {child for node in nodes for child in node.get("children", [])}
+        roots = [index for index in range(len(nodes)) if index not in children]
+    found: list[tuple[int, np.ndarray]] = []
+    seen: set[int] = set()
+    waiting = [(root, np.eye(4)) for root in reversed(roots)]
+    while waiting:
+        index, parent = waiting.pop()
+        if index in seen or index < 0:
+            raise ValueError("a node stands below itself or below two others")
+        seen.add(index)
+        matrix = parent @ _local_matrix(nodes[index])
+        if "mesh" in nodes[index]:
+            found.append((nodes[index]["mesh"], matrix))
+        waiting += [(child, matrix) for child in reversed(nodes[index].get("children", []))]
+    return found
+
+
+def _local_matrix(node: dict[str, Any]) -> np.ndarray:
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    matrix = np.eye(4)
+    x, y, z, w = (float(value) for value in node.get("rotation", (0.0, 0.0, 0.0, 1.0)))
+    turn = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    scale = np.array(node.get("scale", (1.0, 1.0, 1.0)), np.float64).reshape(3)
+    matrix[:3, :3] = np.array(turn) * scale
+    matrix[:3, 3] = np.array(node.get("translation", (0.0, 0.0, 0.0)), np.float64).reshape(3)
+    return matrix
+
+
+def _primitive(document: dict[str, Any], binary: bytes, primitive: dict[str, Any]) -> Arrays | None:
+    mode = primitive.get("mode", _TRIANGLES)
+    if mode < _TRIANGLES:
+        return None  # points and lines
+    if mode != _TRIANGLES:
+        raise BadInput("the mesh has triangle strips or fans; export it as plain triangles.")
+    attributes = primitive["attributes"]
+    vertices = _accessor(document, binary, attributes["POSITION"], 3)
+    if "indices" in primitive:
+        faces = _accessor(document, binary, primitive["indices"], 1).astype(np.int64).reshape(-1, 3)
+    else:
+        faces = np.arange(len(vertices), dtype=np.int64).reshape(-1, 3)
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+        raise BadInput("a face names a vertex that is not there; export the mesh again.")
+    if "TEXCOORD_0" not in attributes:
+        return vertices, faces, None
+    uvs = _accessor(document, binary, attributes["TEXCOORD_0"], 2)
+    return vertices, faces, np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1)[faces]
+
+
+def _accessor(document: dict[str, Any], binary: bytes, index: int, width: int) -> np.ndarray:
+    """The values of an accessor, float64 (N, width); normalised integers are scaled to [-1, 1]."""
+    accessor = document["accessors"][index]
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise BadInput("the mesh has sparse data; export it without sparse accessors.")
+    if _WIDTHS[accessor["type"]] != width:
+        raise ValueError("an attribute of another width")
+    view = document["bufferViews"][accessor["bufferView"]]
+    if view["buffer"] != 0 or "uri" in document["buffers"][0]:
+        raise BadInput("the mesh keeps its data in another file; export it as one .glb.")
+    kind = np.dtype(_KINDS[accessor["componentType"]])
+    start = view.get("byteOffset", 0)
+    inside = binary[start : start + view["byteLength"]]
+    stride = view.get("byteStride") or kind.itemsize * width
+    shape = (accessor["count"], width)
+    values = np.ndarray(shape, kind, inside, accessor.get("byteOffset", 0), (stride, kind.itemsize)).astype(
+        np.float64
+    )
+    if accessor.get("normalized") and kind.kind != "f":
+        values = np.maximum(values / np.iinfo(kind).max, -1.0)
+    return values
+
+
+def _moved(part: Arrays, matrix: np.ndarray) -> Arrays:
+    """The part in world space; a mirroring matrix turns the faces' corners round, as glTF asks."""
+    vertices, faces, uvs = part
+    vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
+    if np.linalg.det(matrix[:3, :3]) < 0.0:
+        faces, uvs = faces[:, ::-1], None if uvs is None else uvs[:, ::-1]
+    return vertices, faces, uvs

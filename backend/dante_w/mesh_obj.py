@@ -1,0 +1,105 @@
+"""Wavefront OBJ: v, vt and f lines; everything else is skipped. Fast enough for a million faces."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from dante_w.errors import BadInput
+from dante_w.mesh_fan import fan
+
+Arrays = tuple[np.ndarray, np.ndarray, np.ndarray | None]
+
+
+def parse_obj(data: bytes) -> Arrays:
+    """Vertices float64 (V, 3), faces int64 (F, 3), UVs float64 (F, 3, 2) or None.
+
+    Polygons are cut into fans, indices may count from the end, groups and materials are ignored. A corner
+    without a UV gets (0, 0) where others have one.
+
+    Raises:
+        BadInput: a sentence without the file's name. Numbers may still be out of range or not finite.
+    """
+    data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\t", b" ")
+    lines = [line.lstrip() for line in data.splitlines()]
+    vertices = numbers([line for line in lines if line.startswith(b"v ")], 3, "vertices")
+    texture = numbers([line for line in lines if line.startswith(b"vt ")], 2, "UVs")
+    polygons = [line for line in lines if line.startswith(b"f ")]
+    if not polygons:
+        return vertices, np.empty((0, 3), np.int64), None
+    sizes, corners = _corners(polygons)
+    if (corners < 0).any():
+        _count_from_start(lines, sizes, corners)
+    if len(vertices) < corners[:, 0].max() or corners[:, 0].min() < 1:
+        raise BadInput("a face names a vertex that is not there; export the mesh again.")
+    if len(texture) < corners[:, 1].max() or corners[:, 1].min() < 0:
+        raise BadInput("a face names a UV that is not there; export the mesh again.")
+    triangles = fan(sizes)
+    faces = corners[:, 0][triangles] - 1
+    used = corners[:, 1][triangles]
+    if not used.any():
+        return vertices, faces, None
+    return vertices, faces, np.vstack([np.zeros((1, 2)), texture])[used]
+
+
+def numbers(lines: list[bytes], columns: int, what: str) -> np.ndarray:
+    """The first `columns` numbers behind each line's keyword, float64 (N, columns). Lines may hold more
+    (weights, colours); a vt line of one number has v = 0."""
+    if not lines:
+        return np.empty((0, columns))
+    rows = [line.split()[1 : columns + 1] for line in lines]
+    if columns == 2:
+        rows = [row if len(row) != 1 else [*row, b"0"] for row in rows]
+    if min(map(len, rows)) < columns:
+        raise BadInput(f"some {what} have fewer than {columns} numbers; export the mesh again.")
+    values = scan(b" ".join([b" ".join(row) for row in rows]), np.float64)
+    if len(values) != columns * len(rows):
+        raise BadInput(f"some {what} are not numbers; export the mesh again.")
+    return values.reshape(-1, columns)
+
+
+def scan(text: bytes, kind: type) -> np.ndarray:
+    """The numbers of a text, up to the first word that is none."""
+    if not text.strip():
+        return np.empty(0, kind)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return np.fromstring(text, kind, sep=" ")
+
+
+def _corners(polygons: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners per polygon (P,), and per corner its vertex and UV as written, 0 for no UV, int64 (C, 2)."""
+    if any(b"#" in line for line in polygons):
+        polygons = [line.partition(b"#")[0] for line in polygons]
+    words = [line.split() for line in polygons]
+    sizes = np.array([len(row) - 1 for row in words], np.int64)
+    if sizes.min() < 3:
+        raise BadInput("a face has fewer than 3 corners; export the mesh again.")
+    corners = [word for row in words for word in row[1:]]
+    slashes = {word.count(b"/") for word in corners}
+    if len(slashes) > 1 or max(slashes) > 2:
+        corners = [b"/".join([*word.split(b"/"), b"0", b"0"][:3]) for word in corners]
+        slashes = {2}
+    columns = slashes.pop() + 1
+    text = b" ".join(corners) + b" "
+    if columns > 1:
+        text = text.replace(b"//", b"/0/").replace(b"/ ", b"/0 ").replace(b"/", b" ")
+    values = scan(text, np.int64)
+    if len(values) != columns * len(corners):
+        raise BadInput("a face has corners that are not whole numbers; export the mesh again.")
+    values = values.reshape(-1, columns)
+    pairs = np.zeros((len(values), 2), np.int64)
+    pairs[:, : min(columns, 2)] = values[:, :2]
+    return sizes, pairs
+
+
+def _count_from_start(lines: list[bytes], sizes: np.ndarray, corners: np.ndarray) -> None:
+    """Replace, in place, indices that count back from their own line by those that count from the start."""
+    kinds = np.array([line[:3] for line in lines])
+    here = np.char.startswith(kinds, b"f ")
+    for column, keyword in enumerate((b"v ", b"vt ")):
+        seen = np.repeat(np.cumsum(np.char.startswith(kinds, keyword))[here], sizes)
+        negative = corners[:, column] < 0
+        corners[negative, column] += seen[negative] + 1
+        corners[negative & (corners[:, column] <= 0), column] = -1  # before the first line
