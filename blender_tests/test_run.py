@@ -1,0 +1,173 @@
+"""A recovery from button to material, with the stand-in backend."""
+
+import os
+import time
+
+import bpy
+import pytest
+from dante_w_addon import job, material
+
+
+def finish(seconds=20.0):
+    """Tick as Blender's timer would, until the recovery has ended."""
+    end = time.monotonic() + seconds
+    while job.tick() is not None:
+        assert time.monotonic() < end, "the recovery did not end"
+        time.sleep(0.02)
+    return job.recovery.progress
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    with open(f"/proc/{pid}/stat") as file:
+        return file.read().rsplit(")", 1)[1].split()[0] != "Z"  # a zombie has ended
+
+
+def test_to_done(addon, standin, scene, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", "/nowhere")
+    cube = bpy.data.objects["Cube"]
+    assert bpy.ops.dantew.recover() == {"FINISHED"}
+    assert not bpy.ops.dantew.recover.poll(), "one at a time"
+    progress = finish()
+    assert progress.state == "done", progress.message
+    assert progress.loss == pytest.approx(0.2)
+    assert material.shown(cube) == "ALBEDO"
+    texture = cube.active_material.node_tree.nodes.active.image
+    assert texture.packed_file and texture.colorspace_settings.name == "sRGB"
+    assert [round(255 * value) for value in texture.pixels[:3]] == [200, 120, 40]
+    report = material.report_of(cube)
+    assert report["python_variables"] == [], "the environment was not stripped"
+    assert report["arguments"][report["arguments"].index("--preset") + 1] == "standard"
+    assert (tmp_path / "dante_w" / "Cube" / "result" / "albedo.png").is_file()
+
+
+def test_options_reach_the_backend(addon, standin, scene, tmp_path):
+    settings = scene.dante_w
+    settings.preset, settings.texture_size, settings.device = "draft", "1024", "cpu"
+    settings.file_format, settings.unwrap, settings.prior_folder = "exr", True, str(tmp_path)
+    bpy.ops.dantew.recover()
+    finish()
+    said = " ".join(material.report_of(bpy.data.objects["Cube"])["arguments"])
+    for words in ("--preset draft", "--texture-size 1024", "--device cpu", "--format exr", "--unwrap"):
+        assert words in said
+    assert f"--priors {tmp_path}" in said
+
+
+def test_switch_keeps_the_old_material(addon, standin, scene):
+    cube = bpy.data.objects["Cube"]
+    original = cube.active_material
+    for _ in range(2):  # a second recovery must not take the first albedo for an original
+        bpy.ops.dantew.recover()
+        finish()
+    bpy.ops.dantew.show(which="ORIGINAL")
+    assert cube.active_material == original and material.shown(cube) == "ORIGINAL"
+    bpy.ops.dantew.show(which="ALBEDO")
+    assert cube.active_material != original and material.shown(cube) == "ALBEDO"
+    assert original.users > 0, "the original would be lost on saving"
+
+
+def test_object_without_material_goes_back_to_none(addon, standin, scene):
+    cube = bpy.data.objects["Cube"]
+    cube.data.materials.clear()
+    bpy.ops.dantew.recover()
+    finish()
+    assert cube.active_material is not None
+    bpy.ops.dantew.show(which="ORIGINAL")
+    assert cube.active_material is None
+
+
+def test_result_survives_saving(addon, standin, scene, tmp_path):
+    bpy.ops.dantew.recover()
+    finish()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    cube = bpy.data.objects["Cube"]
+    assert material.shown(cube) == "ALBEDO"
+    material.show(cube, "ORIGINAL")
+    assert cube.active_material.name == "Original"
+
+
+def test_renamed_object_still_gets_its_texture(addon, standin, scene):
+    bpy.ops.dantew.recover()
+    bpy.data.objects["Cube"].name = "Renamed"
+    assert finish().state == "done"
+    assert material.shown(bpy.data.objects["Renamed"]) == "ALBEDO"
+
+
+@pytest.mark.parametrize("mode", ["slow", "stubborn"])
+def test_cancel_within_a_second_leaves_no_orphan(addon, standin, scene, tmp_path, mode):
+    standin(mode)
+    bpy.ops.dantew.recover()
+    child_file = tmp_path / "dante_w" / "Cube" / "scene" / "child.pid"
+    while job.recovery.progress.stage != "optimise" or (mode == "stubborn" and not child_file.exists()):
+        job.tick()
+        time.sleep(0.02)
+    time.sleep(0.1)
+    pids = [job.recovery.process.pid]
+    if mode == "stubborn":
+        pids.append(int(child_file.read_text()))
+    assert all(map(alive, pids))
+    before = time.monotonic()
+    bpy.ops.dantew.cancel()
+    assert time.monotonic() - before < 0.1, "cancel must not wait"
+    while any(map(alive, pids)):
+        assert time.monotonic() - before < 1.0, "still running a second after cancel"
+        time.sleep(0.01)
+    assert finish().state == "cancelled"
+    assert material.shown(bpy.data.objects["Cube"]) is None
+
+
+@pytest.mark.parametrize(
+    ("mode", "code", "said"), [("crash", 1, "something unforeseen"), ("bad", 2, "no UVs")]
+)
+def test_failure_keeps_the_scene_and_says_why(addon, standin, scene, mode, code, said):
+    standin(mode)
+    cube = bpy.data.objects["Cube"]
+    before = (cube.active_material, sorted(cube.keys()), len(bpy.data.images), len(bpy.data.materials))
+    bpy.ops.dantew.recover()
+    progress = finish()
+    assert (progress.state, progress.code) == ("failed", code)
+    assert said in progress.message
+    assert before == (
+        cube.active_material,
+        sorted(cube.keys()),
+        len(bpy.data.images),
+        len(bpy.data.materials),
+    )
+
+
+def test_opening_another_file_stops_the_backend(addon, standin, scene):
+    standin("slow")
+    bpy.ops.dantew.recover()
+    pid = job.recovery.process.pid
+    assert alive(pid)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert not alive(pid)
+    assert job.recovery is None
+
+
+def test_silence_is_noticed(addon, standin, scene, monkeypatch):
+    monkeypatch.setattr("dante_w_addon.process.SILENCE", 0.5)
+    standin("silent")
+    bpy.ops.dantew.recover()
+    end = time.monotonic() + 10.0
+    while job.recovery.progress.total == 0:  # the one line it says
+        job.tick()
+        assert time.monotonic() < end
+    assert not job.recovery.progress.silent
+    time.sleep(0.6)
+    job.tick()
+    assert job.recovery.progress.silent >= 0.5
+
+
+def test_unsaved_file_packs_the_images(addon, standin, tmp_path):
+    from small_scene import build
+
+    cube = build(tmp_path / "photos")
+    bpy.context.scene.dante_w.storage = "FILE"
+    bpy.ops.dantew.recover()
+    assert finish().state == "done"
+    assert cube.active_material.node_tree.nodes.active.image.packed_file

@@ -1,0 +1,33 @@
+"""DANTE-W for Blender: diffuse albedo textures from posed photos of a UV-mapped mesh.
+
+This file only registers; see docs/architecture.md for the parts.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from . import headless, job, panels, preferences, properties, recover, relight_operators
+
+_CLASSES = (*preferences.CLASSES, *recover.CLASSES, *relight_operators.CLASSES, *panels.CLASSES)
+_commands = []
+
+
+def register() -> None:
+    """Add the panel, the operators and the command `blender -c dante_w`."""
+    properties.register()
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    job.register()
+    _commands.append(bpy.utils.register_cli_command("dante_w", headless.main))
+
+
+def unregister() -> None:
+    """Undo `register`; a running backend is stopped."""
+    while _commands:
+        bpy.utils.unregister_cli_command(_commands.pop())
+    relight_operators.stop()
+    job.unregister()
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)
+    properties.unregister()

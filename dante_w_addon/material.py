@@ -1,0 +1,104 @@
+"""The result on the object: a material with the albedo, the old materials one click away.
+
+What belongs together is kept in custom properties of the object, so it is saved with the .blend, follows
+undo, and works in headless runs and where the add-on is off.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from . import mesh
+
+#: Custom properties of a textured object.
+ALBEDO, ORIGINALS, REPORT = "dante_w_albedo", "dante_w_originals", "dante_w_report"
+
+
+def apply(obj: bpy.types.Object, result: Path, pack: bool) -> bpy.types.Material:
+    """Put the albedo in a result folder on `obj` and show it; the former materials are kept.
+
+    Raises:
+        FileNotFoundError: the folder is not a whole result.
+    """
+    report = (result / "report.json").read_text(encoding="utf-8")
+    exr = result / "albedo.exr"
+    albedo = load_image(exr if exr.is_file() else result / "albedo.png", f"{obj.name} albedo", pack)
+    coverage = load_image(result / "coverage.png", f"{obj.name} coverage", pack, "Non-Color")
+    layer = mesh.render_uv_map(obj.data)
+    material = albedo_material(f"{obj.name} albedo", albedo, coverage, layer.name if layer else "")
+    if shown(obj) != "ALBEDO":
+        obj[ORIGINALS] = {str(i): slot.material for i, slot in enumerate(obj.material_slots) if slot.material}
+    obj[ALBEDO] = material
+    obj[REPORT] = report
+    show(obj, "ALBEDO")
+    return material
+
+
+def shown(obj: bpy.types.Object) -> str | None:
+    """'ALBEDO' or 'ORIGINAL'; None for an object with no result."""
+    material = obj.get(ALBEDO)
+    if material is None:
+        return None
+    return "ALBEDO" if any(slot.material == material for slot in obj.material_slots) else "ORIGINAL"
+
+
+def show(obj: bpy.types.Object, which: str) -> None:
+    """Switch every slot of `obj` to the albedo ('ALBEDO') or back to what it had ('ORIGINAL')."""
+    if not obj.material_slots:
+        obj.data.materials.append(None)
+    originals = obj.get(ORIGINALS, {})
+    for index, slot in enumerate(obj.material_slots):
+        slot.material = obj[ALBEDO] if which == "ALBEDO" else originals.get(str(index))
+
+
+def report_of(obj: bpy.types.Object) -> dict[str, Any]:
+    """The report of the object's result; empty where there is none."""
+    try:
+        return dict(json.loads(obj.get(REPORT, "{}")))
+    except ValueError:
+        return {}
+
+
+def load_image(path: Path, name: str, pack: bool, colour_space: str | None = None) -> bpy.types.Image:
+    """Load an image with its colour space said outright: guesses depend on the user's settings."""
+    image = bpy.data.images.load(str(path), check_existing=False)
+    image.name = name
+    linear = path.suffix.lower() in (".exr", ".hdr")
+    image.colorspace_settings.name = colour_space or ("Linear Rec.709" if linear else "sRGB")
+    if pack:
+        image.pack()
+    return image
+
+
+def albedo_material(
+    name: str, albedo: bpy.types.Image, coverage: bpy.types.Image | None, uv_map: str
+) -> bpy.types.Material:
+    """A matte Principled BSDF: what was recovered is the diffuse part; gloss is the artist's to add."""
+    material = bpy.data.materials.new(name)
+    if bpy.app.version < (5, 0, 0):
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    shader = tree.nodes.new("ShaderNodeBsdfPrincipled")
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    uv = tree.nodes.new("ShaderNodeUVMap")
+    shader.inputs["Roughness"].default_value = 1.0
+    shader.inputs["Specular IOR Level"].default_value = 0.0
+    texture.image, texture.label = albedo, "Albedo"
+    uv.uv_map = uv_map
+    for node, x in ((uv, -800), (texture, -580), (shader, -280), (output, 40)):
+        node.location = (x, 0)
+    tree.links.new(uv.outputs["UV"], texture.inputs["Vector"])
+    tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+    if coverage is not None:
+        kept = tree.nodes.new("ShaderNodeTexImage")
+        kept.image, kept.label, kept.location = coverage, "Coverage (white: a photo saw it)", (-580, -320)
+        tree.links.new(uv.outputs["UV"], kept.inputs["Vector"])
+    tree.nodes.active = texture  # what texture painting and the Solid view's Texture mode use
+    return material

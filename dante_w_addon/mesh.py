@@ -1,0 +1,94 @@
+"""The evaluated mesh as arrays, and as an OBJ file.
+
+Written by hand rather than with Blender's exporters: those can be disabled, and they write float32, in
+which a geo-referenced mesh (coordinates of 1e7) loses its shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from .paths import scene_folder
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """A triangulated mesh in world space.
+
+    `vertices` (V, 3) float64; `corners` (F, 3) vertex of each triangle corner; `uvs` (T, 2) and `uv_corners`
+    (F, 3), or None for a mesh with no UV map.
+    """
+
+    vertices: np.ndarray
+    corners: np.ndarray
+    uvs: np.ndarray | None
+    uv_corners: np.ndarray | None
+
+
+def evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Triangles:
+    """`obj` as the viewport shows it: modifiers and world transform applied, in float64.
+
+    Raises:
+        BadInput: nothing is left to texture.
+    """
+    if obj.mode == "EDIT":
+        obj.update_from_editmode()
+        depsgraph.update()
+    shown = obj.evaluated_get(depsgraph)
+    mesh = shown.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
+    try:
+        mesh.calc_loop_triangles()
+        count = len(mesh.loop_triangles)
+        if count == 0:
+            raise scene_folder.BadInput(f"{obj.name} has no faces; choose a mesh with faces.")
+        local = _read(mesh.vertices, "co", len(mesh.vertices), 3, np.float32)
+        corners = _read(mesh.loop_triangles, "vertices", count, 3, np.int32)
+        loops = _read(mesh.loop_triangles, "loops", count, 3, np.int32)
+        layer = render_uv_map(mesh)
+        corner_uvs = None if layer is None else _read(layer.uv, "vector", len(mesh.loops), 2, np.float32)
+        matrix = np.array(shown.matrix_world, np.float64)
+    finally:
+        shown.to_mesh_clear()
+    vertices = local.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    if not np.isfinite(vertices).all():
+        raise scene_folder.BadInput(f"{obj.name} has vertices that are not finite; repair the mesh.")
+    if np.linalg.det(matrix[:3, :3]) < 0.0:  # a mirror turns faces inside out
+        corners, loops = corners[:, ::-1], loops[:, ::-1]
+    if corner_uvs is None:
+        return Triangles(vertices, corners, None, None)
+    inside = np.clip(corner_uvs, 0.0, 1.0)  # modifiers leave the unit square by a rounding error
+    corner_uvs = np.where(np.abs(inside - corner_uvs) < 1e-5, inside, corner_uvs)
+    # Corners that share a UV share an entry, as seams are found by it.
+    keys = np.ascontiguousarray(corner_uvs).view(np.uint64).ravel()
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    return Triangles(vertices, corners, corner_uvs[first].astype(np.float64), inverse.ravel()[loops])
+
+
+def render_uv_map(mesh: bpy.types.Mesh) -> bpy.types.MeshUVLoopLayer | None:
+    """The UV map that renders use."""
+    return next((layer for layer in mesh.uv_layers if layer.active_render), None)
+
+
+def write_obj(path: Path, mesh: Triangles) -> None:
+    """Write an OBJ whose decimal numbers read back to the same float64."""
+    with open(path, "w", encoding="ascii", newline="\n") as file:
+        file.writelines(f"v {x!r} {y!r} {z!r}\n" for x, y, z in mesh.vertices.tolist())
+        corners = (mesh.corners + 1).tolist()
+        if mesh.uvs is None:
+            file.writelines(f"f {a} {b} {c}\n" for a, b, c in corners)
+            return
+        file.writelines(f"vt {u!r} {v!r}\n" for u, v in mesh.uvs.tolist())
+        file.writelines(
+            f"f {a}/{p} {b}/{q} {c}/{r}\n"
+            for (a, b, c), (p, q, r) in zip(corners, (mesh.uv_corners + 1).tolist(), strict=True)
+        )
+
+
+def _read(collection, attribute: str, rows: int, columns: int, kind: type) -> np.ndarray:
+    flat = np.empty(rows * columns, kind)
+    collection.foreach_get(attribute, flat)
+    return flat.reshape(rows, columns)

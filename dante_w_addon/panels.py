@@ -1,0 +1,192 @@
+"""The sidebar tab "DANTE-W"."""
+
+from __future__ import annotations
+
+import textwrap
+
+import bpy
+
+from . import hdris, job, material, preferences, properties, relight_operators, survey
+from .process import STAGES
+
+MAX_PROBLEMS = 4
+
+
+class _Panel:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "DANTE-W"
+
+
+class DANTEW_PT_source(_Panel, bpy.types.Panel):
+    bl_label = "Source"
+    bl_order = 0
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, properties.of(context.scene)
+        obj = survey.active_mesh(context)
+        found = survey.take(context.scene, obj, settings.unwrap)
+        column = layout.column(align=True)
+        if obj is None:
+            column.label(text="Select the mesh to texture", icon="OUTLINER_OB_MESH")
+        else:
+            column.label(text=f"{obj.name}: {len(obj.data.polygons):,} faces", icon="OUTLINER_OB_MESH")
+        column.label(text=f"{found.photos} photos on {found.cameras} cameras", icon="OUTLINER_OB_CAMERA")
+        for problem in found.problems[:MAX_PROBLEMS]:
+            _sentence(context, layout, problem, "ERROR")
+        if len(found.problems) > MAX_PROBLEMS:
+            layout.label(text=f"... and {len(found.problems) - MAX_PROBLEMS} more")
+        layout.operator("dantew.import_scene", icon="IMPORT")
+        column = _properties(layout)
+        column.prop(settings, "prior_folder", placeholder="Optional")
+
+
+class DANTEW_PT_recover(_Panel, bpy.types.Panel):
+    bl_label = "Recover"
+    bl_order = 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, properties.of(context.scene)
+        if preferences.backend_python() is None or job.setting_up():
+            preferences.draw_backend(layout)
+        column = _properties(layout)
+        column.enabled = not job.recovering()
+        column.prop(settings, "preset")
+        column.prop(settings, "texture_size")
+        column.prop(settings, "device")
+        column.prop(settings, "file_format")
+        column.prop(settings, "storage")
+        column.prop(settings, "output_folder")
+        column.prop(settings, "unwrap")
+        if job.recovering():
+            _draw_progress(context, layout, job.recovery)
+            return
+        row = layout.row()
+        row.scale_y = 1.6
+        row.operator("dantew.recover", icon="SHADING_TEXTURE")
+        if job.recovery is not None and job.recovery.progress.message:
+            failed = job.recovery.progress.state == "failed"
+            _sentence(context, layout, job.recovery.progress.message, "ERROR" if failed else "INFO")
+
+
+class DANTEW_PT_result(_Panel, bpy.types.Panel):
+    bl_label = "Result"
+    bl_order = 2
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, obj = self.layout, survey.active_mesh(context)
+        shown = material.shown(obj) if obj is not None else None
+        if shown is None:
+            layout.label(text="No albedo recovered yet", icon="INFO")
+            return
+        row = layout.row(align=True)
+        row.scale_y = 1.3
+        for which in ("ORIGINAL", "ALBEDO"):
+            row.operator("dantew.show", text=which.title(), depress=shown == which).which = which
+        report = material.report_of(obj)
+        column = layout.column(align=True)
+        for name, value in facts(report):
+            split = column.split(factor=0.55)
+            split.label(text=name)
+            split.label(text=value)
+        layout.operator("dantew.open_report", icon="TEXT")
+
+
+class DANTEW_PT_relight(_Panel, bpy.types.Panel):
+    bl_label = "Relight"
+    bl_order = 3
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, properties.of(context.scene)
+        column = _properties(layout)
+        column.prop(settings, "hdri")
+        if settings.hdri == hdris.OWN:
+            column.prop(settings, "hdri_file")
+        column.prop(settings, "rotation")
+        column.prop(settings, "strength")
+        column.prop(settings, "samples")
+        running = relight_operators.active
+        if running is not None:
+            done, total = len(running.pictures), len(running.lights)
+            layout.progress(factor=(done + 0.5) / total, text=f"Rendering {done + 1} of {total}")
+        else:
+            row = layout.row(align=True)
+            row.scale_y = 1.3
+            row.operator("dantew.relight", text="Preview", icon="RENDER_STILL").every = False
+            row.operator("dantew.relight", text="Contact Sheet", icon="MESH_GRID").every = True
+            if relight_operators.last_message:
+                _sentence(context, layout, relight_operators.last_message, "INFO")
+        for name, title in (
+            (relight_operators.PREVIEW, "preview"),
+            (relight_operators.SHEET, "contact sheet"),
+        ):
+            image = bpy.data.images.get(name)
+            if image is None or image.preview is None:
+                continue
+            layout.template_icon(
+                icon_value=image.preview.icon_id, scale=min(context.region.width / 24.0, 14.0)
+            )
+            layout.operator("dantew.open_image", text=f"Open {title}", icon="IMAGE_DATA").name = name
+
+
+def facts(report: dict) -> list[tuple[str, str]]:
+    """Lines of the Result panel from a report; what the report does not say is left out."""
+    lines = []
+    if isinstance(report.get("held_out_psnr"), (int, float)):
+        lines.append(("Held-out photos", f"{report['held_out_psnr']:.1f} dB"))
+    if isinstance(report.get("coverage"), (int, float)):
+        lines.append(("Seen by a photo", f"{report['coverage']:.1%}"))
+    return lines
+
+
+def duration(seconds: float) -> str:
+    """Seconds as people say them: 45 s, 3 min, 1 h 20 min."""
+    if seconds < 60.0:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def _draw_progress(context: bpy.types.Context, layout: bpy.types.UILayout, recovery: job.Recovery) -> None:
+    progress = recovery.progress
+    number = STAGES.index(progress.stage) + 1 if progress.stage in STAGES else 0
+    name = progress.stage.capitalize()
+    layout.progress(
+        factor=progress.fraction, text=f"{name}  {progress.fraction:.0%}" if progress.total else name
+    )
+    column = layout.column(align=True)
+    column.label(text=f"Stage {number} of {len(STAGES)}")
+    if progress.seconds_left is not None:
+        column.label(text=f"{duration(progress.seconds_left)} left", icon="TIME")
+    if progress.loss is not None:
+        column.label(text=f"Loss {progress.loss:.4f}", icon="GRAPH")
+    if progress.silent:
+        text = f"Nothing heard from the backend for {duration(progress.silent)}; it may be stuck."
+        _sentence(context, layout, text, "ERROR")
+    stopping = recovery.process.cancelled
+    row = layout.row()
+    row.scale_y = 1.3
+    row.enabled = not stopping
+    row.operator("dantew.cancel", text="Stopping..." if stopping else "Cancel", icon="CANCEL")
+
+
+def _properties(layout: bpy.types.UILayout) -> bpy.types.UILayout:
+    column = layout.column()
+    column.use_property_split = True
+    column.use_property_decorate = False
+    return column
+
+
+def _sentence(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, icon: str) -> None:
+    """A text of any length, wrapped to the sidebar."""
+    scale = context.preferences.system.ui_scale
+    width = max(int((context.region.width - 60 * scale) / (6.5 * scale)), 16)
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for paragraph in text.splitlines():
+        for line in textwrap.wrap(paragraph, width, break_long_words=True) or [""]:
+            column.label(text=line, icon=icon)
+            icon = "BLANK1"
+
+
+CLASSES = (DANTEW_PT_source, DANTEW_PT_recover, DANTEW_PT_result, DANTEW_PT_relight)

@@ -1,0 +1,67 @@
+"""Where things are: the backend's sources, the scene folder module, folders for runs.
+
+The add-on lives in two layouts, and this is the one module that knows both: in the repository the
+backend lies beside this package, in the installed zip it lies inside it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import bpy
+
+HERE = Path(__file__).resolve().parent
+
+
+def backend_folder() -> Path:
+    """Folder with `launch.py`, `requirements.txt` and the package `dante_w`."""
+    inside = HERE / "backend"
+    return inside if (inside / "launch.py").is_file() else HERE.parent / "backend"
+
+
+def launcher() -> Path:
+    """The script that the backend's Python runs."""
+    return backend_folder() / "launch.py"
+
+
+def _load_scene_folder() -> ModuleType:
+    name = f"{__package__}.scene_folder"
+    spec = importlib.util.spec_from_file_location(name, backend_folder() / "dante_w" / "scene_folder.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # before it runs: dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+#: The backend's own format module: one definition for both sides of the wall.
+scene_folder = _load_scene_folder()
+
+
+def file_name(text: str) -> str:
+    """`text` made safe as a file name on every system."""
+    return re.sub(r'[\x00-\x1f<>:"/\\|?*]', "_", text).strip(". ") or "unnamed"
+
+
+def user_folder() -> Path | None:
+    """The extension's own folder, or None where the add-on runs from a checkout."""
+    if not __package__.startswith("bl_ext."):
+        return None
+    return Path(bpy.utils.extension_path_user(__package__, create=True))
+
+
+def run_folder(setting: str, object_name: str) -> Path:
+    """Folder of one object's scene and result: beside the .blend, or temporary while it is unsaved."""
+    if setting.startswith("//") and not bpy.data.filepath:
+        base = Path(bpy.app.tempdir) / "dante_w"
+    else:
+        base = Path(bpy.path.abspath(setting))
+    return base / file_name(object_name)
+
+
+def is_temporary(folder: Path) -> bool:
+    """Whether Blender deletes `folder` when it quits."""
+    return Path(folder).resolve().is_relative_to(Path(bpy.app.tempdir).resolve())

@@ -1,0 +1,184 @@
+"""Operators: import a scene folder, recover, cancel, and switch what the object shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.props import EnumProperty, StringProperty
+
+from . import export, import_scene, job, material, photos, preferences, properties, result, survey, windows
+from .paths import is_temporary, run_folder, scene_folder
+
+
+class DANTEW_OT_import_scene(bpy.types.Operator):
+    """Make cameras with photos behind them, and the mesh, from a scene folder (transforms.json)"""
+
+    bl_idname = "dantew.import_scene"
+    bl_label = "Import Scene Folder"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            made = import_scene.import_folder(context, Path(bpy.path.abspath(self.filepath)))
+        except scene_folder.BadInput as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for warning in made.warnings:
+            self.report({"WARNING"}, warning)
+        self.report({"INFO"}, f"{len(made.cameras)} cameras imported")
+        return {"FINISHED"}
+
+
+class DANTEW_OT_match_render(bpy.types.Operator):
+    """Set the render size to the active camera's photo, so that the overlay shows exactly what is recovered"""
+
+    bl_idname = "dantew.match_render"
+    bl_label = "Match Render to Photo"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if active_photo(context.scene) is None:
+            cls.poll_message_set("The scene's camera has no photo behind it")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            width, height = photos.size_of(active_photo(context.scene).image)
+        except scene_folder.BadInput as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        context.scene.render.resolution_x, context.scene.render.resolution_y = width, height
+        return {"FINISHED"}
+
+
+class DANTEW_OT_recover(bpy.types.Operator):
+    """Recover the albedo texture of the active mesh from its photos; Blender stays usable meanwhile"""
+
+    bl_idname = "dantew.recover"
+    bl_label = "Recover Albedo"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        obj = survey.active_mesh(context)
+        if job.recovering():
+            cls.poll_message_set("A recovery is running")
+        elif obj is None:
+            cls.poll_message_set("Make the mesh to texture the active object")
+        elif preferences.backend_python() is None:
+            cls.poll_message_set("Set the backend up first")
+        else:
+            problems = survey.take(context.scene, obj, properties.of(context.scene).unwrap).problems
+            if not problems:
+                return True
+            cls.poll_message_set(problems[0])
+        return False
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings, obj = properties.of(context.scene), survey.active_mesh(context)
+        folder = run_folder(settings.output_folder, obj.name)
+        size = 0 if settings.texture_size == "AUTO" else int(settings.texture_size)
+        try:
+            depsgraph = context.evaluated_depsgraph_get()
+            export.export_scene(context.scene, obj, depsgraph, folder / "scene")
+            command = result.recover_command(
+                preferences.backend_python(),
+                folder / "scene",
+                folder / "result",
+                preset=settings.preset,
+                texture_size=size,
+                device=settings.device,
+                file_format=settings.file_format,
+                priors=bpy.path.abspath(settings.prior_folder) if settings.prior_folder else "",
+                unwrap_mesh=settings.unwrap,
+            )
+            # Images in a folder that goes with Blender's end would be lost.
+            pack = settings.storage == "PACK" or is_temporary(folder)
+            job.start_recovery(command, obj, folder / "result", pack)
+        except (scene_folder.BadInput, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class DANTEW_OT_cancel(bpy.types.Operator):
+    """Stop the recovery; the scene stays as it was"""
+
+    bl_idname = "dantew.cancel"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return job.recovering()
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        job.recovery.process.cancel()
+        return {"FINISHED"}
+
+
+class DANTEW_OT_show(bpy.types.Operator):
+    """Switch the active object between its original materials and the recovered albedo"""
+
+    bl_idname = "dantew.show"
+    bl_label = "Show"
+    bl_options = {"REGISTER", "UNDO"}
+
+    which: EnumProperty(items=(("ORIGINAL", "Original", ""), ("ALBEDO", "Albedo", "")))
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        obj = survey.active_mesh(context)
+        if obj is None or material.shown(obj) is None:
+            cls.poll_message_set("The active object has no recovered albedo")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        material.show(survey.active_mesh(context), self.which)
+        return {"FINISHED"}
+
+
+class DANTEW_OT_open_report(bpy.types.Operator):
+    """Open the report of the active object's albedo: settings, versions, times and quality"""
+
+    bl_idname = "dantew.open_report"
+    bl_label = "Open Report"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        obj = survey.active_mesh(context)
+        return obj is not None and material.REPORT in obj
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        obj = survey.active_mesh(context)
+        name = f"{obj.name} report.json"
+        text = bpy.data.texts.get(name) or bpy.data.texts.new(name)
+        text.clear()
+        text.write(obj[material.REPORT])
+        text.cursor_set(0)
+        windows.open_editor(context, "TEXT_EDITOR", text)
+        return {"FINISHED"}
+
+
+def active_photo(scene: bpy.types.Scene) -> photos.Photo | None:
+    """The photo behind the scene's camera."""
+    return next((photo for photo in photos.found(scene) if photo.camera == scene.camera), None)
+
+
+CLASSES = (
+    DANTEW_OT_import_scene,
+    DANTEW_OT_match_render,
+    DANTEW_OT_recover,
+    DANTEW_OT_cancel,
+    DANTEW_OT_show,
+    DANTEW_OT_open_report,
+)

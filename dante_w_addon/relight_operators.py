@@ -1,0 +1,182 @@
+"""Operators: preview under one HDRI, or a contact sheet of all. With a window, Blender stays usable meanwhile."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import tempfile
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty
+
+from . import hdris, job, properties, relight, windows
+
+PREVIEW = "DANTE-W relight"
+SHEET = "DANTE-W contact sheet"
+THUMBNAIL = 256  # pixels, as large as Blender's previews get
+
+
+class Relighting:
+    """Renders that follow each other while the user works on."""
+
+    def __init__(self, studio: relight.Studio, lights: list[Path], name: str) -> None:
+        self.studio, self.lights, self.name = studio, lights, name
+        self.pictures: list[np.ndarray] = []
+        self.folder = Path(tempfile.mkdtemp(prefix="dante_w_", dir=bpy.app.tempdir))
+        self.message = ""
+
+    @property
+    def target(self) -> Path:
+        return self.folder / f"{len(self.pictures)}.png"
+
+    def start_next(self) -> None:
+        """Start one render in the background, with no window of its own."""
+        self.studio.light(self.lights[len(self.pictures)], self.target)
+        view = bpy.context.preferences.view
+        kept = view.render_display_type
+        view.render_display_type = "NONE"
+        try:
+            with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
+                bpy.ops.render.render("INVOKE_DEFAULT", write_still=True, scene=self.studio.scene.name)
+        finally:
+            view.render_display_type = kept
+
+    def look(self) -> bool:
+        """Take a finished render in and start the next. Returns: still at work."""
+        if bpy.app.is_job_running("RENDER"):
+            return True
+        if not self.target.is_file():
+            self.message = "The preview was stopped."
+            return self.close()
+        self.pictures.append(relight.read_picture(self.target))
+        if len(self.pictures) < len(self.lights):
+            self.start_next()
+            return True
+        several = len(self.pictures) > 1
+        keep(self.name, relight.contact_sheet(self.pictures) if several else self.pictures[0])
+        return self.close()
+
+    def close(self) -> bool:
+        """Clean up; returns False."""
+        self.studio.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+        return False
+
+
+active: Relighting | None = None
+last_message = ""
+
+
+def tick() -> float | None:
+    """Timer: carry a relighting on."""
+    global active, last_message
+    going = False
+    if active is not None:
+        try:
+            going = active.look()
+        except (ReferenceError, RuntimeError, OSError) as error:  # undone, or the file is gone, under us
+            active.message = f"The preview was stopped: {error}"
+            active.close()
+        if not going:
+            last_message, active = active.message, None
+    job.redraw()
+    return job.TICK if going else None
+
+
+def keep(name: str, pixels: np.ndarray) -> bpy.types.Image:
+    """Put a picture into the file, with a thumbnail for the panel."""
+    image = relight.keep_picture(name, pixels)
+    step = -(-max(pixels.shape[:2]) // THUMBNAIL)
+    small = np.ascontiguousarray(pixels[::step, ::step])
+    preview = image.preview_ensure()
+    preview.image_size = small.shape[1], small.shape[0]
+    preview.image_pixels_float.foreach_set(small.ravel())
+    return image
+
+
+class DANTEW_OT_relight(bpy.types.Operator):
+    """Render a Cycles preview of the scene's camera under the HDRI, without the scene's lamps"""
+
+    bl_idname = "dantew.relight"
+    bl_label = "Preview"
+
+    every: BoolProperty(
+        name="Contact Sheet", description="All HDRIs that ship with Blender", options={"SKIP_SAVE"}
+    )
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        return "Render a small preview under every HDRI, as one picture" if properties.every else cls.__doc__
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        settings = properties.of(context.scene)
+        if context.scene.camera is None:
+            cls.poll_message_set("The scene has no camera to look through")
+        elif active is not None or bpy.app.is_job_running("RENDER"):
+            cls.poll_message_set("A render is running")
+        elif hdris.file_of(settings.hdri, settings.hdri_file) is None:
+            cls.poll_message_set("Choose an .hdr or .exr file")
+        else:
+            return True
+        return False
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        studio, lights, name = self._prepare(context)
+        with relight.temporary_folder() as folder, studio:
+            try:
+                keep(name, relight.render_all(studio, lights, folder))
+            except RuntimeError as error:
+                self.report({"ERROR"}, str(error))
+                return {"CANCELLED"}
+        return {"FINISHED"}
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        global active, last_message
+        if bpy.app.background:
+            return self.execute(context)
+        active, last_message = Relighting(*self._prepare(context)), ""
+        active.start_next()
+        bpy.app.timers.register(tick, first_interval=job.TICK)
+        return {"FINISHED"}
+
+    def _prepare(self, context: bpy.types.Context) -> tuple[relight.Studio, list[Path], str]:
+        settings = properties.of(context.scene)
+        size = 320 if self.every else 640
+        look = relight.Look(settings.rotation, settings.strength, settings.samples, size)
+        one = hdris.file_of(settings.hdri, settings.hdri_file)
+        lights = relight.default_lights() if self.every else [one]
+        return relight.Studio(context, look), lights, SHEET if self.every else PREVIEW
+
+
+class DANTEW_OT_open_image(bpy.types.Operator):
+    """Open the picture in an image editor"""
+
+    bl_idname = "dantew.open_image"
+    bl_label = "Open"
+
+    name: bpy.props.StringProperty()
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        image = bpy.data.images.get(self.name)
+        if image is None:
+            self.report({"ERROR"}, f"There is no image {self.name}")
+            return {"CANCELLED"}
+        windows.open_editor(context, "IMAGE_EDITOR", image)
+        return {"FINISHED"}
+
+
+def stop() -> None:
+    """Forget a relighting that runs."""
+    global active
+    if bpy.app.timers.is_registered(tick):
+        bpy.app.timers.unregister(tick)
+    if active is not None:
+        with contextlib.suppress(ReferenceError):
+            active.close()
+        active = None
+
+
+CLASSES = (DANTEW_OT_relight, DANTEW_OT_open_image)

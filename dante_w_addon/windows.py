@@ -1,0 +1,24 @@
+"""Showing an image or a text to the user."""
+
+from __future__ import annotations
+
+import bpy
+
+
+def open_editor(context: bpy.types.Context, kind: str, data: bpy.types.ID) -> None:
+    """Show `data` in an editor of `kind` ('IMAGE_EDITOR', 'TEXT_EDITOR') on screen, or in a new window."""
+    manager = context.window_manager
+    areas = [area for window in manager.windows for area in window.screen.areas if area.type == kind]
+    if not areas and len(manager.windows):
+        before = set(manager.windows)
+        bpy.ops.wm.window_new()
+        made = next(window for window in manager.windows if window not in before)
+        areas = [max(made.screen.areas, key=lambda area: area.width * area.height)]
+        areas[0].type = kind
+    for area in areas[:1]:
+        space = area.spaces.active
+        if kind == "IMAGE_EDITOR":
+            space.image = data
+        else:
+            space.text = data
+        area.tag_redraw()
