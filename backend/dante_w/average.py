@@ -1,9 +1,11 @@
 """Photos averaged on the texture: the baseline, with the photos' light in it.
 
-Samples are splatted bilinearly into a pyramid of (colour x weight, weight), each on the level whose cells are about as
-wide as its pixel. The finest level with weight wins; where photos are coarser than the texels the coarser level is
-interpolated, so there are no holes between pixels; the two blend over about a cell of the coarser one. Where there is no photo the texture is filled by push-pull.
-All linear. Memory: 21 bytes per texel at most, taken when a level is first used, however many samples come.
+Samples are splatted bilinearly into a pyramid of (colour x weight, weight), each on the level whose cells are
+about as wide as its pixel. The finest level with weight wins; where the photos are coarser than the texels the
+coarser level is interpolated, so there are no holes between pixels. The two blend over about one coarse cell.
+Where there is no photo the texture is filled by push-pull. All linear.
+
+Memory: at most 21 bytes per texel, taken when a level is first used, however many samples come.
 """
 
 from __future__ import annotations
@@ -12,7 +14,8 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
+
+from dante_w.jit import njit
 
 
 class PhotoAverage:
@@ -47,18 +50,18 @@ class PhotoAverage:
         """
         uv = np.asarray(uv, np.float64).reshape(-1, 2)
         colour = np.asarray(colour, np.float32).reshape(-1, 3)
-        weight = np.broadcast_to(np.asarray(weight, np.float32), (len(uv),))
+        weights = np.broadcast_to(np.asarray(weight, np.float32), (len(uv),))
         size = np.broadcast_to(np.asarray(footprint, np.float64), (len(uv),))
         good = np.logical_and.reduce((uv >= 0) & (uv <= 1), axis=1) & np.isfinite(colour).all(axis=1)
-        good &= np.isfinite(weight) & (weight > 0) & np.isfinite(size)
+        good &= np.isfinite(weights) & (weights > 0) & np.isfinite(size)
         # The tents of the 2 x 2 nearest cells leave no hole between pixels if a cell is footprint / sqrt(2) or wider.
         level = np.ceil(np.log2(np.maximum(size[good] * math.sqrt(0.5), 1.0))).astype(np.int64)
         level = np.minimum(level, len(self._levels) - 1)
         x, y = uv[good, 0] * self.width, (1.0 - uv[good, 1]) * self.height
-        colour, weight = colour[good], weight[good]
+        colour, weights = colour[good], weights[good]
         for k in np.unique(level):
             here = level == k
-            _splat(self._levels[k], x[here] / 2.0**k, y[here] / 2.0**k, colour[here], weight[here])
+            _splat(self._levels[k], x[here] / 2.0**k, y[here] / 2.0**k, colour[here], weights[here])
 
     def resolve(self) -> np.ndarray:
         """(H, W, 3) float32 linear view: the average, every texel filled (0.5 if there was no sample).
@@ -77,7 +80,7 @@ class PhotoAverage:
         return levels[0][..., :3]
 
 
-@njit(cache=True)
+@njit
 def _splat(level: np.ndarray, x: np.ndarray, y: np.ndarray, colour: np.ndarray, weight: np.ndarray) -> None:
     """Add samples at (x, y), in cells, to the four cells whose centres surround them."""
     rows, columns = level.shape[0], level.shape[1]
@@ -95,7 +98,7 @@ def _splat(level: np.ndarray, x: np.ndarray, y: np.ndarray, colour: np.ndarray, 
                 level[j, i, 3] += w
 
 
-@njit(cache=True)
+@njit
 def _pull(fine: np.ndarray, coarse: np.ndarray) -> None:
     """Give the cells of coarse that have no sample of their own the mean of the finer cells in them."""
     for j in range(coarse.shape[0]):
@@ -108,7 +111,7 @@ def _pull(fine: np.ndarray, coarse: np.ndarray) -> None:
                         coarse[j, i, c] += fine[b, a, c]
 
 
-@njit(cache=True)
+@njit
 def _push(fine: np.ndarray, coarse: np.ndarray) -> None:
     """Divide by the weight; where there is none interpolate coarse, divided already, bilinearly."""
     last_row, last_column = coarse.shape[0] - 1, coarse.shape[1] - 1

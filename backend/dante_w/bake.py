@@ -16,10 +16,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
 from dante_w import pushpull
 from dante_w.coverage import Coverage, seen
+from dante_w.jit import njit
 from dante_w.texture_encoding import decode_rows, encode_rows
 from dante_w.uvmap import Bins, bin_faces, rasterise_bins, rasterise_border
 
@@ -173,7 +173,7 @@ def _gutter_band(rows: tuple[int, int], gutter: int, out: np.ndarray, marks: np.
     out[row + r0, column] = out[from_row + first, from_column]
 
 
-@njit(cache=True)
+@njit
 def _nearest(marks: np.ndarray, top: int, bottom: int, gutter: int) -> np.ndarray:
     """For rows top..bottom-1: flat index of the nearest marked texel nearer than gutter + 1, else or if marked: -1.
 

@@ -16,7 +16,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+
+from dante_w.jit import njit
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def seen(coverage: Coverage, rows: tuple[int, int] | None = None) -> np.ndarray:
     return coarse
 
 
-@njit(cache=True)
+@njit
 def _mark(bits: np.ndarray, columns: int, x: np.ndarray, y: np.ndarray, single: bool) -> None:
     """Set the cell that holds each (x, y), in cells, or the 2 x 2 cells nearest to it."""
     rows = bits.shape[0]
@@ -98,7 +99,7 @@ def _mark(bits: np.ndarray, columns: int, x: np.ndarray, y: np.ndarray, single: 
                 bits[j, i >> 3] |= np.uint8(128 >> (i & 7))
 
 
-@njit(cache=True)
+@njit
 def _spread(coarse: np.ndarray, above: int, fine: np.ndarray, first: int) -> None:
     """Mark the cells of fine (whose row 0 is row `first` of its level) whose parent in coarse is marked."""
     for j in range(fine.shape[0]):

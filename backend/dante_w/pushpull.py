@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
+
+from dante_w.jit import njit
 
 LARGEST_KEPT = 1024
 NOTHING_KNOWN = 0.5  # linear grey, when not one texel is known
@@ -83,7 +84,7 @@ def empty(width: int, height: int) -> Pyramid:
     return Pyramid(width, height, level, np.zeros((-(-height // cell), -(-width // cell), 4), np.float32))
 
 
-@njit(cache=True)
+@njit
 def _scatter(total: np.ndarray, row: np.ndarray, column: np.ndarray, colour: np.ndarray) -> None:
     for n in range(len(row)):
         cell = total[row[n], column[n]]
@@ -92,7 +93,7 @@ def _scatter(total: np.ndarray, row: np.ndarray, column: np.ndarray, colour: np.
         cell[3] += 1
 
 
-@njit(cache=True)
+@njit
 def _halve(total: np.ndarray, odd: int) -> np.ndarray:
     """Sums of 2 x 2 cells; the first row of total is the lower one of its pair if odd."""
     rows, columns = total.shape[0], total.shape[1]
@@ -104,7 +105,7 @@ def _halve(total: np.ndarray, odd: int) -> np.ndarray:
     return coarse
 
 
-@njit(cache=True)
+@njit
 def _push(total: np.ndarray, first: int, coarse: np.ndarray, above: int) -> np.ndarray:
     """Means of the cells with a count, the others interpolated from the level above.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
 from dante_w.color import linear_from_srgb_array
+from dante_w.jit import njit
 
 _SHIFT = 8  # buckets of 2^15 per octave: at most a step or two of 16-bit sRGB each
 _LEAST = np.float32(2.0**-21)  # encodes to 0 in 16 bits
@@ -55,7 +55,7 @@ def _tables(top: int) -> tuple[np.ndarray, np.ndarray]:
     return limits, np.searchsorted(limits, values, side="right").astype(np.uint16)
 
 
-@njit(cache=True)
+@njit
 def _look_up(
     linear: np.ndarray, bits: np.ndarray, limits: np.ndarray, codes: np.ndarray, out: np.ndarray
 ) -> None:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
 from dante_w.errors import BadInput
+from dante_w.jit import njit
 
 LARGEST = 32768  # texels along a side: keeps the products of two fixed-point lengths inside 63 bits
 UV_TOLERANCE = 1e-4
@@ -158,7 +158,7 @@ def _bands(bins: Bins, rows: tuple[int, int]) -> list[tuple[np.ndarray, int, int
     ]
 
 
-@njit(cache=True)
+@njit
 def _bin(low: np.ndarray, high: np.ndarray, bands: int) -> tuple[np.ndarray, np.ndarray]:
     first = np.zeros(bands + 1, np.int64)
     for f in range(len(low)):
@@ -175,7 +175,7 @@ def _bin(low: np.ndarray, high: np.ndarray, bands: int) -> tuple[np.ndarray, np.
     return first, faces
 
 
-@njit(cache=True)
+@njit
 def _edges(points: np.ndarray, f: int, margin: float, edges: np.ndarray) -> bool:
     """Edge k of face f as (dx, dy, ax, ay, least): a point is inside where dx (y - ay) - dy (x - ax) >= least.
 
@@ -205,7 +205,7 @@ def _edges(points: np.ndarray, f: int, margin: float, edges: np.ndarray) -> bool
     return True
 
 
-@njit(cache=True)
+@njit
 def _span(edges: np.ndarray, j: int, low: int, high: int) -> tuple[int, int]:
     """First and last column of row j inside the edges and low..high; last < first if there is none."""
     for k in range(3):
@@ -221,7 +221,7 @@ def _span(edges: np.ndarray, j: int, low: int, high: int) -> tuple[int, int]:
     return low, high
 
 
-@njit(cache=True)
+@njit
 def _fill(
     points: np.ndarray,
     faces: np.ndarray,
@@ -248,7 +248,7 @@ def _fill(
                     out[j - top, i] = f
 
 
-@njit(cache=True)
+@njit
 def _border(
     points: np.ndarray,
     faces: np.ndarray,
