@@ -8,10 +8,11 @@ import bpy
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
-from dante_w_addon import cameras, export, import_scene
-from dante_w_addon.paths import scene_folder
 from mathutils import Matrix, Vector
 from small_scene import add_camera, add_cube, save_picture
+
+from dante_w_addon import cameras, export, import_scene
+from dante_w_addon.paths import scene_folder
 
 LANDSCAPE, PORTRAIT, SQUARE = (640, 480), (480, 640), (512, 512)
 # photo size, pixel aspect (x, y), and what is set on the camera

@@ -5,10 +5,11 @@ import os
 import bpy
 import numpy as np
 import pytest
-from dante_w_addon import export, mesh, photos, unwrap
-from dante_w_addon.paths import scene_folder
 from mathutils import Matrix
 from small_scene import add_camera, add_cube, build, save_picture, set_photo
+
+from dante_w_addon import export, mesh, photos, unwrap
+from dante_w_addon.paths import scene_folder
 
 
 def exported(obj, path):
@@ -32,7 +33,7 @@ def test_modifiers_are_applied(tmp_path):
     cube.modifiers.new("Bigger", "SUBSURF").levels = 2
     vertices, uvs, corners, uv_corners = exported(cube, tmp_path / "a.obj")
     assert len(corners) == 6 * 16 * 2
-    assert uv_corners.max() < len(uvs) and 0.0 <= uvs.min() and uvs.max() <= 1.0
+    assert uv_corners.max() < len(uvs) and uvs.min() >= 0.0 and uvs.max() <= 1.0
     assert volume(vertices, corners) < 8.0 - 1.0
 
 
@@ -162,15 +163,21 @@ def test_packed_generated_and_painted_images_are_saved_out(tmp_path):
     (tmp_path / "packed.png").unlink()
     generated = bpy.data.images.new("generated", 12, 8)
     generated.generated_type = "COLOR_GRID"
+    painted = bpy.data.images.new("painted", 20, 2, alpha=True)
+    stripes = np.zeros((2, 20, 4), np.float32)
+    stripes[0], stripes[1] = (1.0, 0.0, 0.0, 1.0), (0.0, 0.2, 0.4, 0.6)
+    painted.pixels.foreach_set(stripes.ravel())
     floating = bpy.data.images.new("floating", 16, 8, float_buffer=True)
     floating.pixels.foreach_set(np.tile(np.float32((3.5, 0.25, 0.0, 1.0)), 16 * 8))
-    for index, image in enumerate((packed, generated, floating)):
+    for index, image in enumerate((packed, generated, painted, floating)):
         set_photo(add_camera(image.name, (5.0, index, 0.0)), image)
     by_width = {frame.camera.width: frame.image for frame in export_now(tmp_path / "scene").frames}
     assert by_width[8].read_bytes() == before, "packed bytes are not encoded again"
     assert photos.header_size(by_width[12]) == (12, 8)
     back = bpy.data.images.load(str(by_width[16]))
     assert by_width[16].suffix == ".exr" and back.pixels[:4] == pytest.approx((3.5, 0.25, 0.0, 1.0))
+    again = bpy.data.images.load(str(by_width[20]))
+    assert np.array(again.pixels) == pytest.approx(stripes.ravel())
     assert generated.source == "GENERATED", "the user's image stays as it was"
 
 

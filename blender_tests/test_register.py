@@ -1,6 +1,7 @@
 """Turning the add-on on and off."""
 
 import bpy
+
 import dante_w_addon
 
 

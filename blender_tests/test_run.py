@@ -5,6 +5,7 @@ import time
 
 import bpy
 import pytest
+
 from dante_w_addon import job, material
 
 

@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 
 from .paths import file_name, scene_folder
+from .picture_files import write_exr, write_png
 
 _SUFFIX = {"PNG": ".png", "JPEG": ".jpg", "OPEN_EXR": ".exr", "TIFF": ".tif", "BMP": ".bmp", "HDR": ".hdr"}
 
@@ -148,22 +149,14 @@ def _put(image: bpy.types.Image, source: Path | None, target: Path) -> None:
 
 
 def _save_pixels(image: bpy.types.Image, target: Path) -> None:
-    """Save through a copy: saving `image` itself would change its path and source."""
+    """Write the pixels by hand: saving `image` itself would change its path and source."""
     width, height = image.size
-    pixels = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(pixels)
-    rgba = np.ones((width * height, 4), np.float32)
-    pixels = pixels.reshape(-1, image.channels)
+    flat = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(flat)
+    pixels = flat.reshape(height, width, image.channels)[::-1]  # Blender's rows come from the bottom
+    rgba = np.ones((height, width, 4), np.float32)
     if image.channels < 3:
-        rgba[:, :3] = pixels[:, :1]  # grey
+        rgba[..., :3] = pixels[..., :1]  # grey
     else:
-        rgba[:, : image.channels] = pixels
-    copy = bpy.data.images.new("DANTE-W copy", width, height, alpha=True, float_buffer=image.is_float)
-    try:
-        copy.colorspace_settings.name = image.colorspace_settings.name
-        copy.pixels.foreach_set(rgba.ravel())
-        copy.filepath_raw = str(target)
-        copy.file_format = "OPEN_EXR" if image.is_float else "PNG"
-        copy.save()
-    finally:
-        bpy.data.images.remove(copy)
+        rgba[..., : image.channels] = pixels
+    (write_exr if image.is_float else write_png)(target, rgba)
