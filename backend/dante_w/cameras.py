@@ -57,15 +57,27 @@ def project(camera: Camera, camera_to_world: np.ndarray, points: np.ndarray) -> 
     return np.asarray(_colmap(camera).img_from_cam(local), np.float64).reshape(-1, 2)
 
 
+def check_camera(camera: Camera) -> None:
+    """Raise BadInput, without a file's name, unless rays can be cast for the camera."""
+    if camera.width < 1 or camera.height < 1 or not np.isfinite(camera.params).all():
+        raise BadInput(f"a {camera.model} camera has no size or is not finite; calibrate it again.")
+    if camera.model == "EQUIRECTANGULAR":
+        raise BadInput("a camera is EQUIRECTANGULAR; cut the panoramas into PINHOLE photos.")
+    _colmap(camera)
+
+
 def _colmap(camera: Camera):  # type: ignore[no-untyped-def]
     import pycolmap  # here alone: only distorted cameras need it, and it must never meet Pillow
 
-    try:
-        return pycolmap.Camera(
+    known = camera.model in pycolmap.CameraModelId.__members__ and camera.model != "INVALID"
+    made = None
+    if known and 0 < camera.width < 2**31 and 0 < camera.height < 2**31:
+        made = pycolmap.Camera(
             model=camera.model, width=camera.width, height=camera.height, params=list(camera.params)
         )
-    except (ValueError, RuntimeError) as error:
+    if made is None or not made.verify_params():  # with too few, pycolmap would read beyond them
         raise BadInput(
             f"camera model {camera.model} with {len(camera.params)} parameters is not one of COLMAP's; "
             "export the cameras again."
-        ) from error
+        )
+    return made
