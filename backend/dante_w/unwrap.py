@@ -6,6 +6,19 @@ a child process: this one stays able to report, and to be cancelled.
 
 from __future__ import annotations
 
+import contextlib
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from dante_w.errors import BadInput, OutOfRoom
+from dante_w.mesh import Mesh
+
 PADDING = 4  #: texels between charts
 _FACES_PER_SECOND = 3000.0  #: measured on one core; only the progress shown depends on it
 _BEAT = 0.25  #: seconds between reports
