@@ -1,9 +1,9 @@
 """Photos averaged on the texture: the baseline, with the photos' light in it.
 
 Samples are splatted bilinearly into a pyramid of (colour x weight, weight), each on the level whose cells are
-about as wide as its pixel. The finest level with weight wins; where the photos are coarser than the texels the
-coarser level is interpolated, so there are no holes between pixels. The two blend over about one coarse cell.
-Where there is no photo the texture is filled by push-pull. All linear.
+about as wide as its pixel. The finest level with weight wins; where the photos are coarser than the texels
+the coarser level is interpolated, so there are no holes between pixels. The two blend over about one coarse
+cell. Where there is no photo the texture is filled by push-pull. All linear.
 
 Memory: at most 21 bytes per texel, taken when a level is first used, however many samples come.
 """
@@ -46,7 +46,8 @@ class PhotoAverage:
         """Splat samples.
 
         uv: (N, 2); colour: (N, 3) linear; weight: (N,) or one number; footprint: (N,) or one number, as for
-        `coverage.mark`. Samples with a value that is not finite, outside [0, 1] or without positive weight are ignored.
+        `coverage.mark`. Samples with a value that is not finite, outside [0, 1] or without positive weight
+        are ignored.
         """
         uv = np.asarray(uv, np.float64).reshape(-1, 2)
         colour = np.asarray(colour, np.float32).reshape(-1, 3)
@@ -54,7 +55,8 @@ class PhotoAverage:
         size = np.broadcast_to(np.asarray(footprint, np.float64), (len(uv),))
         good = np.logical_and.reduce((uv >= 0) & (uv <= 1), axis=1) & np.isfinite(colour).all(axis=1)
         good &= np.isfinite(weights) & (weights > 0) & np.isfinite(size)
-        # The tents of the 2 x 2 nearest cells leave no hole between pixels if a cell is footprint / sqrt(2) or wider.
+        # The tents of the 2 x 2 nearest cells leave no hole between pixels if a cell is footprint / sqrt(2)
+        # or wider.
         level = np.ceil(np.log2(np.maximum(size[good] * math.sqrt(0.5), 1.0))).astype(np.int64)
         level = np.minimum(level, len(self._levels) - 1)
         x, y = uv[good, 0] * self.width, (1.0 - uv[good, 1]) * self.height

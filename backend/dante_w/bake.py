@@ -1,9 +1,11 @@
-"""From a function of texture coordinates to the texels of an albedo texture, in bands of rows of fixed memory.
+"""From a function of texture coordinates to the texels of a texture, in bands of rows of fixed memory.
 
-Four passes over the bands, all in place in the arrays (or memory maps) given, so a 16384^2 texture is never in memory:
+Four passes over the bands, all in place in the arrays (or memory maps) given, so a 16384^2 texture is never
+in memory:
 
-1. texels on the mesh that photos saw get the albedo at their centre; texels just outside a chart that a bilinear
-   lookup inside it may read get the albedo of the chart's nearest point, so no chart ever borrows from another;
+1. texels on the mesh that photos saw get the albedo at their centre; texels just outside a chart that a
+   bilinear lookup inside it may read get the albedo of the chart's nearest point, so no chart ever borrows
+   from another;
 2. every other texel is filled smoothly from the seen ones (push-pull), so that mipmaps never bleed black;
 3. the gutter: texels near a chart, outside it, take over the nearest texel of a chart;
 4. working marks leave the coverage.
@@ -44,8 +46,8 @@ def bake(
     """Bake a texture.
 
     Args:
-        texels: (N, 2) float64 uv -> (N, 3) linear albedo, N at most 262144. It is asked only about places that photos
-            saw. What it gives that is not finite counts as not seen.
+        texels: (N, 2) float64 uv -> (N, 3) linear albedo, N at most 262144. It is asked only about places
+            that photos saw. What it gives that is not finite counts as not seen.
         uvs: (F, 3, 2) UV triangles.
         coverage: what the photos saw, of the texture's size.
         gutter: how far, in texels, charts are continued outwards (0 or more).
@@ -103,7 +105,7 @@ def _evaluate_band(
     out: np.ndarray,
     pyramid: pushpull.Pyramid,
 ) -> np.ndarray:
-    """Pass 1: write the colours of seen texels of a band, add them to the pyramid, return the band's marks."""
+    """Pass 1: colours of a band's seen texels, which also go into the pyramid; returns its marks."""
     r0, r1 = rows
     width, height = bins.width, bins.height
     owner = rasterise_bins(bins, rows)
@@ -151,18 +153,20 @@ def _write(
 
 def _fill_band(pyramid: pushpull.Pyramid, rows: tuple[int, int], out: np.ndarray, marks: np.ndarray) -> None:
     """Pass 2: push-pull into what is neither seen nor border."""
-    for r0 in range(*rows, 64):
-        r1 = min(r0 + 64, rows[1])
-        first, last = pyramid.needs((r0, r1))
-        known = marks[first:last] == SEEN
-        filled = pyramid.fill((r0, r1), decode_rows(np.asarray(out[first:last])), known)
-        empty = (marks[r0:r1] != SEEN) & (marks[r0:r1] != BORDER)
-        row, column = np.nonzero(empty)
-        out[row + r0, column] = encode_rows(filled[row, column], out.dtype)
+    step = max(16, _BAND_TEXELS // 2 // out.shape[1])
+    for r0 in range(*rows, step):
+        part = (r0, min(r0 + step, rows[1]))
+        first, last = pyramid.needs(part)
+        seen_near = np.asarray(marks[first:last]) == SEEN
+        here = np.asarray(marks[part[0] : part[1]])
+        row, column = np.nonzero((here != SEEN) & (here != BORDER))
+        row += r0
+        colour = decode_rows(np.asarray(out[first:last]))
+        out[row, column] = encode_rows(pyramid.fill(part, colour, seen_near, row, column), out.dtype)
 
 
 def _gutter_band(rows: tuple[int, int], gutter: int, out: np.ndarray, marks: np.ndarray) -> None:
-    """Pass 3: texels outside every chart within the gutter take the nearest texel of a chart, colour and all."""
+    """Pass 3: texels within the gutter take the colour of the nearest texel of a chart."""
     if gutter < 1:
         return
     r0, r1 = rows
@@ -175,7 +179,7 @@ def _gutter_band(rows: tuple[int, int], gutter: int, out: np.ndarray, marks: np.
 
 @njit
 def _nearest(marks: np.ndarray, top: int, bottom: int, gutter: int) -> np.ndarray:
-    """For rows top..bottom-1: flat index of the nearest marked texel nearer than gutter + 1, else or if marked: -1.
+    """For rows top..bottom-1: flat index of the nearest mark nearer than gutter + 1; -1 if none or marked.
 
     Ties: the nearer column, the left one, the upper row.
     """

@@ -1,13 +1,14 @@
 """Which texels did the photos see, from where their pixels hit the mesh.
 
-A pixel covers a patch of the texture, from a fraction of a texel to hundreds of texels wide. Its sample marks cells of
-about that size in a pyramid of bitmaps, whose memory depends on the texture size alone (1/6 byte per texel), however
-many samples come. A texel was seen if its cell is marked on any level.
+A pixel covers a patch of the texture, from a fraction of a texel to hundreds of texels wide. Its sample marks
+cells of about that size in a pyramid of bitmaps, whose memory depends on the texture size alone (1/6 byte per
+texel), however many samples come. A texel was seen if its cell is marked on any level.
 
-What is promised. Let the hits of neighbouring pixels lie `footprint` texels apart on a square grid, at any angle. Then
-no texel inside the grid is left unmarked: the cells marked for one sample span a square of at least sqrt(2) footprints
-around it, the largest gap a turned grid can have. And nothing further than 2.13 footprints (1.5 cells) from a sample is
-marked along either axis, but for the texels that a small footprint touches: at most one texel.
+What is promised. Let the hits of neighbouring pixels lie `footprint` texels apart on a square grid, at any
+angle. Then no texel inside the grid is left unmarked: the cells marked for one sample span a square of at
+least sqrt(2) footprints around it, the largest gap a turned grid can have. And nothing further than 2.13
+footprints (1.5 cells) from a sample is marked along either axis, but for the texels that a small footprint
+touches: at most one texel.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from dante_w.jit import njit
 class Coverage:
     """Bitmaps of a pyramid; make one with `empty_coverage`.
 
-    levels[l]: (ceil(H / 2^l), ceil(ceil(W / 2^l) / 8)) uint8; cell (row, i) is bit 7 - i % 8 of byte i // 8 and holds
-    the texels (j, i) with j >> l and i >> l equal to it. The last level is one cell.
+    levels[l]: (ceil(H / 2^l), ceil(ceil(W / 2^l) / 8)) uint8; cell (row, i) is bit 7 - i % 8 of byte i // 8
+    and holds the texels (j, i) with j >> l and i >> l equal to it. The last level is one cell.
     """
 
     width: int
@@ -48,13 +49,14 @@ def mark(coverage: Coverage, uv: np.ndarray, footprint: np.ndarray | float) -> N
     """Record samples of the photos, in place.
 
     uv: (N, 2) texture coordinates; samples that are not finite or outside [0, 1] are ignored.
-    footprint: (N,) or one number: texels between this hit and those of the neighbouring samples of its photo; for a
-    pixel seen at a slant its longer side. With every k-th pixel only, k times the pixel. Not finite: ignored.
+    footprint: (N,) or one number: texels between this hit and those of the neighbouring samples of its photo;
+    for a pixel seen at a slant its longer side. With every k-th pixel only, k times the pixel. Not finite:
+    ignored.
     """
     uv = np.asarray(uv, np.float64).reshape(-1, 2)
     size = np.broadcast_to(np.asarray(footprint, np.float64), (len(uv),))
     with np.errstate(divide="ignore", invalid="ignore"):
-        # A cell must be at least footprint / sqrt(2) wide. What needs less than half a texel marks its own texel only.
+        # A cell must be at least footprint / sqrt(2) wide; where single texels are twice that, one will do.
         level = np.ceil(np.log2(size * math.sqrt(0.5)))
     level = np.where(size > math.sqrt(0.5), level, -1.0).clip(-1, len(coverage.levels) - 1)
     good = np.isfinite(size) & (uv >= 0).all(axis=1) & (uv <= 1).all(axis=1)

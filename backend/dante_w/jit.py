@@ -11,7 +11,7 @@ import numba
 def njit(function: Callable[..., Any]) -> Any:
     """Compile on first call; keep the machine code beside the source or else in the user's cache.
 
-    With neither place writable (a locked-down machine) numba refuses to cache at all: then compile in each process.
+    With neither place writable (a locked-down machine) numba refuses: then compile in each process.
     """
     try:
         return numba.njit(cache=True)(function)

@@ -1,4 +1,4 @@
-"""Linear colours to the numbers of a texture file and back, fast enough for 16384^2 texels and exact to the rounding."""
+"""Linear colours to the numbers of a texture file and back: exactly rounded, fast enough for 16384^2."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _BASE = int(_LEAST.view(np.uint32)) >> _SHIFT
 
 
 def encode_rows(linear: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Linear colours in the numbers of a texture: sRGB rounded to nearest for uint8 and uint16, else linear floats.
+    """Linear colours in the numbers of a texture: rounded sRGB for uint8 and uint16, else linear floats.
 
-    linear: float, any shape. Integers are clipped to 0..1 of the scale (NaN: 0), floats to what they can hold. Raises
-    ValueError for a dtype other than uint8, uint16, float16 and float32.
+    linear: float, any shape. Integers are clipped to 0..1 of the scale (NaN: 0), floats to what they can
+    hold. Raises ValueError for a dtype other than uint8, uint16, float16 and float32.
     """
     if dtype in (np.uint8, np.uint16):
         flat = np.ascontiguousarray(linear, np.float32).reshape(-1)

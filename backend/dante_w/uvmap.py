@@ -1,8 +1,8 @@
-"""Which face covers which texel: an exact rasteriser of UV triangles, and the check that UVs can carry a texture.
+"""Which face covers which texel: an exact rasteriser of UV triangles; the check that UVs fit a texture.
 
 Texel (column i, row j) of a W x H texture has its centre at u = (i + 0.5) / W, v = 1 - (j + 0.5) / H.
-Corners are snapped to 1/16384 texel and everything after that is integer arithmetic, so two triangles that share an
-edge or a corner never both claim, and never both miss, a texel centre on it.
+Corners are snapped to 1/16384 texel and everything after that is integer arithmetic, so two triangles that
+share an edge or a corner never both claim, and never both miss, a texel centre on it.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _BIN_ROWS = 64
 class Bins:
     """UV triangles in fixed point, sorted into bands of rows, for one texture size.
 
-    points: (F, 3, 2) int32, x right and y down, in 1/16384 texel. first: (B + 1,) int64 and faces: (first[-1],) int32:
-    band b, rows 64 b to 64 b + 63, is touched by faces[first[b]:first[b + 1]], ascending.
+    points: (F, 3, 2) int32, x right and y down, in 1/16384 texel. first: (B + 1,) int64 and faces:
+    (first[-1],) int32: band b, rows 64 b to 64 b + 63, is touched by faces[first[b]:first[b + 1]], ascending.
     """
 
     width: int
@@ -66,10 +66,11 @@ def bin_faces(uvs: np.ndarray, width: int, height: int) -> Bins:
 
 
 def rasterise(uvs: np.ndarray, width: int, height: int, rows: tuple[int, int] | None = None) -> np.ndarray:
-    """(r1 - r0, W) int32: the face whose UV triangle (uvs: (F, 3, 2)) holds each texel centre of rows r0 <= j < r1.
+    """(r1 - r0, W) int32: the face whose UV triangle (uvs: (F, 3, 2)) holds each texel centre of the rows.
 
-    -1 where there is none; the lowest face where triangles overlap; a centre on an edge belongs to the triangle whose
-    top or left edge that is. For many bands of one texture call `bin_faces` once and `rasterise_bins` for each.
+    -1 where there is none; the lowest face where triangles overlap; a centre on an edge belongs to the
+    triangle whose top or left edge that is. For many bands of one texture call `bin_faces` once and
+    `rasterise_bins` for each.
     """
     return rasterise_bins(bin_faces(uvs, width, height), rows or (0, height))
 
@@ -85,8 +86,8 @@ def rasterise_bins(bins: Bins, rows: tuple[int, int]) -> np.ndarray:
 def rasterise_border(bins: Bins, rows: tuple[int, int], owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Texels that no triangle owns but that a bilinear lookup inside a triangle may read.
 
-    owner: `rasterise_bins(bins, rows)`. Returns flat indices (N,) int64 into owner, ascending, and uv (N, 2) float64:
-    the nearest point of the nearest triangle, at most sqrt(2) texels away.
+    owner: `rasterise_bins(bins, rows)`. Returns flat indices (N,) int64 into owner, ascending, and uv (N, 2)
+    float64: the nearest point of the nearest triangle, at most sqrt(2) texels away.
     """
     reach = math.sqrt(2.0) * (1 + 1e-9)
     found = np.full(
@@ -105,8 +106,8 @@ def rasterise_border(bins: Bins, rows: tuple[int, int], owner: np.ndarray) -> tu
 def overlap_fraction(uvs: np.ndarray, size: int = OVERLAP_SIZE, margin: float = OVERLAP_MARGIN) -> float:
     """Share of the texels on the mesh whose centre lies well inside two or more UV triangles.
 
-    uvs: (F, 3, 2), rasterised at size x size. "Well inside": at least `margin` texels, or a quarter of the triangle's
-    inscribed circle if that is less, from every edge. 0 when no triangle covers a texel.
+    uvs: (F, 3, 2), rasterised at size x size. "Well inside": at least `margin` texels, or a quarter of the
+    triangle's inscribed circle if that is less, from every edge. 0 when no triangle covers a texel.
     """
     bins = bin_faces(uvs, size, size)
     covered = doubled = 0
@@ -121,10 +122,10 @@ def overlap_fraction(uvs: np.ndarray, size: int = OVERLAP_SIZE, margin: float = 
 
 
 def check_uvs(uvs: np.ndarray | None, mesh: str | Path) -> None:
-    """Make sure that a texture can be painted through these UVs ((F, 3, 2), or None or empty for a mesh without).
+    """Make sure that a texture can be painted through these UVs: (F, 3, 2), or None for a mesh without.
 
-    Raises BadInput, naming the mesh and the fix, when there are none, when some are not finite or outside [0, 1], when
-    no triangle has an area, or when more than 1% of the texels on the mesh belong to several places on it.
+    Raises BadInput, naming the mesh and the fix, when there are none, when some are not finite or outside 0
+    to 1, when no triangle has an area, or when more than 1% of the texels on the mesh lie in several places.
     """
     fix = "run again with --unwrap to make new ones."
     if uvs is None or uvs.size == 0:
@@ -177,7 +178,7 @@ def _bin(low: np.ndarray, high: np.ndarray, bands: int) -> tuple[np.ndarray, np.
 
 @njit
 def _edges(points: np.ndarray, f: int, margin: float, edges: np.ndarray) -> bool:
-    """Edge k of face f as (dx, dy, ax, ay, least): a point is inside where dx (y - ay) - dy (x - ax) >= least.
+    """Edge k of face f as (dx, dy, ax, ay, least): inside is where dx (y - ay) - dy (x - ax) >= least.
 
     margin 0: the top-left rule; positive: that many texels inside; negative: outside. False if f has no area.
     """
@@ -259,7 +260,7 @@ def _border(
     owner: np.ndarray,
     found: np.ndarray,
 ) -> None:
-    """Nearest point of the nearest face for texels without owner within `reach` texels: found = (d^2, dx, dy)."""
+    """Nearest point of the nearest face, for texels without owner: found = (d^2, dx, dy)."""
     edges = np.empty((3, 5), np.int64)
     for f in faces:
         if not _edges(points, f, -reach, edges):

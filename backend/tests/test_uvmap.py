@@ -37,7 +37,7 @@ def grid(n: int, jitter: float, rng: np.random.Generator) -> np.ndarray:
 
 
 def holds(triangle: np.ndarray, width: int, height: int, i: int, j: int) -> int:
-    """-1, 0, 1: the centre of texel (i, j) is outside, on the edge of or inside the snapped triangle; exact."""
+    """-1, 0, 1: texel centre (i, j) is outside, on the edge of, inside the snapped triangle; exact."""
     snapped = np.rint((triangle * [1, -1] + [0, 1]) * [width, height] * 16384).astype(int).tolist()
     x, y = Fraction(2 * i + 1, 2) * 16384, Fraction(2 * j + 1, 2) * 16384
     sides = []
