@@ -56,9 +56,9 @@ def resize(picture: np.ndarray, width: int, height: int) -> np.ndarray:
 def caption(picture: np.ndarray, title: str, note: str = "") -> np.ndarray:
     """`picture` with a line of text below it, and a smaller one below that."""
     height, width, _ = picture.shape
-    strip = np.full((58, width, 3), PAPER, np.float32)
+    strip = np.full((66, width, 3), PAPER, np.float32)
     buffer = oiio.ImageBuf(np.concatenate([picture, strip]).astype(np.float32))
-    for text, size, y in ((title, 19, height + 24), (note, 14, height + 45)):
+    for text, size, y in ((title, 19, height + 31), (note, 14, height + 53)):
         if text:
             oiio.ImageBufAlgo.render_text(buffer, width // 2, y, text, size, "DroidSans", INK, "center")
     return buffer.get_pixels(oiio.FLOAT)

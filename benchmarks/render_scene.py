@@ -152,6 +152,7 @@ def subject(options: argparse.Namespace, out: Path) -> tuple[bpy.types.Object, b
     else:
         thing = load_mesh(options.mesh, options.up)
         texture = bpy.data.images.load(str(options.texture)) if options.texture else own_texture(thing)
+    _ = texture.pixels[0]  # loads the file; after its path is changed it would be too late
     texture.filepath_raw, texture.file_format = str(out / "albedo_gt.png"), "PNG"
     texture.save()
     bpy.ops.object.select_all(action="DESELECT")
@@ -227,7 +228,7 @@ def cameras(random: np.random.Generator, count: int, centre: np.ndarray, radius:
         azimuth = start + index * math.pi * (3.0 - math.sqrt(5.0)) + random.normal(0.0, 0.15)
         height = math.sin(math.radians(75.0)) * (index + random.uniform()) / count
         elevation = math.asin(height) + math.radians(3.0)
-        distance = radius / math.sin(0.5 * FOV) * random.uniform(0.8, 1.1)
+        distance = radius / math.sin(0.5 * FOV) * random.uniform(0.9, 1.2)
         towards = np.array(
             [
                 math.cos(azimuth) * math.cos(elevation),
