@@ -13,6 +13,8 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import bpy
+
 PACKAGE = "dante_w_addon"
 
 
@@ -30,13 +32,11 @@ def load() -> ModuleType:
 
 
 def arguments() -> list[str]:
-    """What is meant for us: after `--` where Blender was called, else all."""
+    """What is meant for us: after `--`; without one, all in a Python, nothing in a Blender."""
     if "--" in sys.argv:
         return sys.argv[sys.argv.index("--") + 1 :]
-    return [] if "--python" in sys.argv or "-P" in sys.argv else sys.argv[1:]
+    return [] if bpy.app.binary_path else sys.argv[1:]
 
 
 if __name__ == "__main__":
-    import bpy  # noqa: F401  the bpy module must be there before the package
-
     sys.exit(load().main(arguments()))

@@ -66,7 +66,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--relight", metavar="HDRI", help="a preset's name, an .hdr/.exr file, or 'all'")
     parser.add_argument("--samples", type=int, default=32, help="Cycles samples of the relight preview")
     parser.add_argument("--size", type=int, default=640, help="pixels of its longer side")
-    parser.add_argument("--python", help="the backend's Python (default: as in the preferences)")
+    parser.add_argument(
+        "--backend-python",
+        metavar="PYTHON",
+        help="the backend's interpreter (default: as in the preferences)",
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
     return parser
 
@@ -77,10 +81,10 @@ def _run(options: argparse.Namespace) -> int:
     out = options.out.resolve()
     lights = _lights(options.relight)
     obj = _mesh_object(options.object)
-    python = options.python or preferences.backend_python()
+    python = options.backend_python or preferences.backend_python()
     if python is None:
         raise scene_folder.BadInput(
-            f"No backend Python was found; name it with --python or {preferences.VARIABLE}."
+            f"No backend Python was found; name it with --backend-python or {preferences.VARIABLE}."
         )
     export.export_scene(bpy.context.scene, obj, bpy.context.evaluated_depsgraph_get(), out / "scene")
     command = result.recover_command(

@@ -15,6 +15,7 @@ from . import hdris, job, properties, relight, windows
 
 PREVIEW = "DANTE-W relight"
 SHEET = "DANTE-W contact sheet"
+STILL_SIZE, TILE_SIZE = 640, 320  # pixels, the longer side
 THUMBNAIL = 256  # pixels, as large as Blender's previews get
 
 
@@ -144,7 +145,7 @@ class DANTEW_OT_relight(bpy.types.Operator):
 
     def _prepare(self, context: bpy.types.Context) -> tuple[relight.Studio, list[Path], str]:
         settings = properties.of(context.scene)
-        size = 320 if self.every else 640
+        size = TILE_SIZE if self.every else STILL_SIZE
         look = relight.Look(settings.rotation, settings.strength, settings.samples, size)
         one = hdris.file_of(settings.hdri, settings.hdri_file)
         lights = relight.default_lights() if self.every else [one]

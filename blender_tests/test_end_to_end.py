@@ -1,0 +1,68 @@
+"""One recovery with the real backend, from Cycles photos to the object's material."""
+
+import math
+import time
+
+import bpy
+import numpy as np
+import pytest
+from small_scene import add_camera, add_cube, set_photo
+
+from dante_w_addon import job, material
+
+ALBEDO = np.array((0.6, 0.3, 0.1))  # linear
+
+
+@pytest.fixture
+def rendered(tmp_path):
+    """Photos of a cube of one colour, rendered under a grey sky."""
+    cube = add_cube()
+    paint = cube.active_material
+    if bpy.app.version < (5, 0, 0):
+        paint.use_nodes = True
+    shader = next(node for node in paint.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Base Color"].default_value = (*ALBEDO, 1.0)
+    shader.inputs["Roughness"].default_value = 1.0
+    shader.inputs["Specular IOR Level"].default_value = 0.0
+    scene = bpy.context.scene
+    scene.world = bpy.data.worlds.new("Sky")
+    if bpy.app.version < (5, 0, 0):
+        scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.8, 0.8, 0.8, 1.0)
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples = 16
+    scene.render.resolution_x, scene.render.resolution_y = 96, 72
+    scene.render.film_transparent = True
+    scene.render.image_settings.color_mode = "RGBA"
+    scene.view_settings.view_transform = "Standard"
+    for index in range(8):
+        angle = math.pi / 4.0 * index + 0.3
+        height = 3.5 if index % 2 else -3.5
+        camera = add_camera(f"Camera {index}", (5.0 * math.cos(angle), 5.0 * math.sin(angle), height))
+        scene.camera = camera
+        scene.render.filepath = str(tmp_path / f"photo {index}.png")
+        bpy.ops.render.render(write_still=True)
+        set_photo(camera, bpy.data.images.load(scene.render.filepath))
+    bpy.context.view_layer.objects.active = cube
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "rendered.blend"))
+    return cube
+
+
+def test_photos_become_an_albedo(addon, rendered, backend_python):
+    settings = bpy.context.scene.dante_w
+    settings.preset, settings.texture_size, settings.device = "draft", "1024", "cpu"
+    assert bpy.ops.dantew.recover() == {"FINISHED"}
+    end = time.monotonic() + 240.0
+    while job.tick() is not None:
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    progress = job.recovery.progress
+    assert progress.state == "done", progress.message
+    assert material.shown(rendered) == "ALBEDO"
+    assert progress.report["held_out_psnr"] > 20.0
+    image = rendered.active_material.node_tree.nodes.active.image
+    assert tuple(image.size) == (1024, 1024)
+    pixels = np.array(image.pixels).reshape(1024, 1024, 4)
+    middle = pixels[700:750, 400:600, :3].mean(axis=(0, 1))  # inside an island of the cube's own layout
+    linear = ((middle + 0.055) / 1.055) ** 2.4
+    assert linear / linear.sum() == pytest.approx(ALBEDO / ALBEDO.sum(), abs=0.08), "the hue is the albedo's"

@@ -1,0 +1,112 @@
+"""The command without a window, called as a user would: in a process of its own, through the bpy module."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import bpy
+import pytest
+from conftest import HERE, ROOT
+
+BATCH = ROOT / "dante_w_addon" / "batch.py"
+
+
+@pytest.fixture
+def blend(scene):
+    return bpy.data.filepath
+
+
+def command(blend, out, *more):
+    """batch.py, with the stand-in for a backend."""
+    code = (
+        "import runpy, sys; sys.path.insert(0, sys.argv.pop(1)); import bpy, batch; "
+        "headless = batch.load(); from pathlib import Path; "
+        f"headless.result.launcher = lambda: Path({str(HERE / 'standin' / 'launch.py')!r}); "
+        "sys.exit(headless.main(batch.arguments()))"
+    )
+    words = [str(blend), "--out", str(out), "--backend-python", sys.executable, *more]
+    return [sys.executable, "-c", code, str(BATCH.parent), *words]
+
+
+def run(blend, out, *more, mode="done"):
+    env = {**os.environ, "STANDIN": mode}
+    return subprocess.run(command(blend, out, *more), capture_output=True, text=True, env=env, check=False)
+
+
+def test_recovers_saves_and_relights(blend, tmp_path):
+    out = tmp_path / "out"
+    done = run(blend, out, "--json", "--relight", "forest", "--samples", "1", "--size", "32")
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    assert lines[-1]["stage"] == "done" and lines[-1]["report"]["held_out_psnr"] == 31.5
+    assert "optimise" in {line["stage"] for line in lines}
+    assert (out / "relight.png").is_file() and (out / "albedo.png").is_file()
+    bpy.ops.wm.open_mainfile(filepath=str(out / "small scene.blend"))
+    cube = bpy.data.objects["Cube"]
+    image = cube.active_material.node_tree.nodes.active.image
+    assert image.packed_file is None and bpy.path.abspath(image.filepath) == str(out / "albedo.png")
+    assert cube["dante_w_originals"]["0"].name == "Original"
+
+
+def test_the_word_recover_may_be_said(blend, tmp_path):
+    words = command(blend, tmp_path / "out", "--pack")
+    words.insert(4, "recover")
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / "small scene.blend"))
+    assert bpy.data.objects["Cube"].active_material.node_tree.nodes.active.image.packed_file
+
+
+@pytest.mark.parametrize(
+    ("more", "mode", "code", "said"),
+    [
+        ((), "bad", 2, "no UVs"),
+        ((), "crash", 1, "something unforeseen"),
+        (("--object", "Sphere"), "done", 2, "no mesh named Sphere"),
+        (("--relight", "moonlight"), "done", 2, "moonlight"),
+        (("--preset", "best"), "done", 2, "best"),
+    ],
+)
+def test_exit_codes(blend, tmp_path, more, mode, code, said):
+    done = run(blend, tmp_path / "out", *more, mode=mode)
+    assert done.returncode == code, done.stderr
+    assert said in done.stderr and "Traceback (most" not in done.stderr
+    assert not list(tmp_path.glob("out/*.blend"))
+
+
+def test_a_missing_blend_is_bad_input(tmp_path):
+    done = run(tmp_path / "none.blend", tmp_path / "out")
+    assert done.returncode == 2 and "none.blend" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_cancel(blend, tmp_path, number):
+    env = {**os.environ, "STANDIN": "slow"}
+    words = command(blend, tmp_path / "out", "--json")
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env)
+    while '"optimise"' not in process.stdout.readline():
+        assert process.poll() is None
+    before = time.monotonic()
+    process.send_signal(number)
+    process.communicate(timeout=10)
+    assert process.returncode == 3
+    assert time.monotonic() - before < 1.5
+
+
+def test_batch_runs_by_itself(blend, tmp_path):
+    """batch.py as a script, with arguments after `--`: here up to the backend that is not one."""
+    words = [
+        sys.executable,
+        str(BATCH),
+        "--",
+        str(blend),
+        "--out",
+        str(tmp_path / "o"),
+        "--backend-python",
+        "/none",
+    ]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "/none" in done.stderr, done.stderr

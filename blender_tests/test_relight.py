@@ -1,0 +1,151 @@
+"""Relit previews: light where it should be, and nothing of the user's changed."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from small_scene import add_camera, add_cube, build
+
+from dante_w_addon import hdris, relight, relight_operators
+
+TINY = relight.Look(samples=4, size=64)
+
+
+def state():
+    """All that a preview might change."""
+    scene = bpy.context.scene
+    render = scene.render
+    return (
+        *(render.engine, render.resolution_x, render.resolution_y, render.resolution_percentage),
+        *(
+            render.filepath,
+            render.image_settings.file_format,
+            scene.cycles.samples,
+            scene.cycles.use_denoising,
+        ),
+        *(scene.world, scene.camera, scene.frame_current, bpy.context.window.scene.name),
+        *(
+            sorted(data.name for data in group)
+            for group in (bpy.data.scenes, bpy.data.worlds, bpy.data.objects)
+        ),
+    )
+
+
+def half_lit_hdri(path):
+    """An environment whose light all comes from -x."""
+    image = bpy.data.images.new("half", 64, 32, float_buffer=True)
+    pixels = np.zeros((32, 64, 4), np.float32)
+    pixels[..., 3] = 1.0
+    pixels[:, 30:34, :3] = 20.0  # the middle of an environment image lies at -x... see the test
+    image.pixels.foreach_set(pixels.ravel())
+    image.filepath_raw, image.file_format = str(path), "HDR"
+    image.save()
+    bpy.data.images.remove(image)
+    return path
+
+
+def test_still_and_nothing_else_changes(addon, scene, monkeypatch):
+    monkeypatch.setattr(relight_operators, "STILL_SIZE", 64)
+    settings = scene.dante_w
+    settings.hdri, settings.samples = "forest", 4
+    scene.render.filepath = "//somewhere"
+    before = state()
+    assert bpy.ops.dantew.relight() == {"FINISHED"}
+    assert state() == before
+    image = bpy.data.images[relight_operators.PREVIEW]
+    assert tuple(image.size) == (64, 48) and image.packed_file
+    assert np.std(np.array(image.pixels)) > 0.02, "an empty picture"
+    assert tuple(image.preview.image_size) == (64, 48)
+
+
+def test_settings_survive_a_failing_render(scene, tmp_path, monkeypatch):
+    def fail(**_):
+        raise RuntimeError("no memory")
+
+    before = state()
+    monkeypatch.setattr(relight.Studio, "still", lambda *_: fail())
+    with pytest.raises(RuntimeError), relight.Studio(bpy.context, TINY) as studio:
+        relight.render_all(studio, relight.default_lights()[:1], tmp_path)
+    assert state() == before
+
+
+def test_lamps_are_left_out(scene, tmp_path):
+    black = tmp_path / "black.hdr"
+    image = bpy.data.images.new("black", 8, 4, float_buffer=True)
+    image.filepath_raw, image.file_format = str(black), "HDR"
+    image.save()
+    lamp = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    lamp.data.energy = 10.0
+    scene.collection.objects.link(lamp)
+    bpy.context.view_layer.update()
+    with relight.Studio(bpy.context, TINY) as studio:
+        picture = relight.read_picture(studio.still(black, tmp_path / "a.png"))
+    assert picture[..., :3].max() < 0.02
+
+
+def test_light_turns_with_the_rotation(tmp_path):
+    hdri = half_lit_hdri(tmp_path / "half.hdr")
+    add_cube()
+    bpy.context.scene.camera = add_camera("Camera", (0.0, 0.0, 8.0))
+    bpy.data.objects["Cube"].data.transform(__import__("mathutils").Matrix.Rotation(math.radians(45), 4, "Y"))
+    bpy.context.view_layer.update()  # from above: a roof with one slope to -x and one to +x
+    brightness = []
+    for rotation in (0.0, math.pi):
+        look = relight.Look(rotation, 1.0, 16, 64)
+        with relight.Studio(bpy.context, look) as studio:
+            picture = relight.read_picture(studio.still(hdri, tmp_path / "a.png"))
+        height, width = picture.shape[:2]
+        row = picture[height // 2, :, :3].mean(axis=-1)
+        brightness.append(row[width // 2 - 4 : width // 2].mean() - row[width // 2 : width // 2 + 4].mean())
+    assert brightness[0] * brightness[1] < 0.0 and min(map(abs, brightness)) > 0.02
+
+
+def test_strength_brightens(scene, tmp_path):
+    means = []
+    for strength in (0.2, 1.0):
+        with relight.Studio(bpy.context, relight.Look(0.0, strength, 4, 64)) as studio:
+            picture = relight.read_picture(studio.still(hdris.presets()["forest"], tmp_path / "a.png"))
+        means.append(picture[..., :3].mean())
+    assert means[1] > 1.5 * means[0]
+
+
+def test_contact_sheet_of_all_presets(addon, scene, monkeypatch):
+    monkeypatch.setattr(relight_operators, "TILE_SIZE", 64)
+    scene.dante_w.samples = 1
+    before = state()
+    bpy.ops.dantew.relight(every=True)
+    assert state() == before
+    sheet = bpy.data.images[relight_operators.SHEET]
+    assert len(hdris.presets()) == 8
+    step_x, step_y = 64 + relight.GAP, 48 + relight.GAP
+    width, height = 3 * step_x - relight.GAP, 3 * step_y - relight.GAP
+    assert tuple(sheet.size) == (width, height)
+    pixels = np.array(sheet.pixels).reshape(height, width, 4)
+    corners = [(step_x * column, step_y * row) for row in (2, 1, 0) for column in range(3)]
+    tiles = [pixels[y : y + 48, x : x + 64] for x, y in corners]
+    means = [tile[..., :3].mean() for tile in tiles]
+    assert len({round(float(mean), 4) for mean in means[:8]}) == 8, "each light gives its own picture"
+    assert means[8] == 0.0, "the ninth place is empty"
+
+
+def test_contact_sheet_order():
+    tiles = [np.full((2, 3, 4), value, np.float32) for value in (0.1, 0.2, 0.3)]
+    sheet = relight.contact_sheet(tiles, columns=2)
+    assert sheet[-1, 0, 0] == np.float32(0.1) and sheet[-1, -1, 0] == np.float32(0.2)
+    assert sheet[0, 0, 0] == np.float32(0.3) and sheet[0, -1, 0] == 0.0
+
+
+def test_portrait_renders_keep_their_shape(tmp_path):
+    build(tmp_path / "photos", size=(48, 96))
+    with relight.Studio(bpy.context, TINY) as studio:
+        picture = relight.read_picture(studio.still(hdris.presets()["city"], tmp_path / "a.png"))
+    assert picture.shape[:2] == (64, 32)
+
+
+def test_own_file(addon, scene, tmp_path):
+    scene.dante_w.hdri = hdris.OWN
+    assert not bpy.ops.dantew.relight.poll()
+    scene.dante_w.hdri_file = str(hdris.presets()["city"])
+    assert bpy.ops.dantew.relight.poll()
+    assert hdris.file_of(hdris.OWN, str(tmp_path / "a.txt")) is None
