@@ -11,6 +11,8 @@ import numpy as np
 from dante_w.errors import BadInput
 from dante_w.scene_folder import Camera
 
+TOLERANCE = 0.01  #: pixels by which a ray may miss the pixel it was cast for
+
 
 def directions(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     """Camera-space ray directions, scaled to z = -1.
@@ -20,17 +22,21 @@ def directions(camera: Camera, pixels: np.ndarray) -> np.ndarray:
         pixels: (N, 2) continuous pixel coordinates.
 
     Returns:
-        (N, 3) float64. Not finite where the distortion has no inverse.
+        (N, 3) float64. Not finite where the distortion has no inverse, or more than 90 degrees off axis.
 
     Raises:
         BadInput: the camera model or its number of parameters is unknown.
     """
     pixels = np.asarray(pixels, np.float64)
-    if camera.model == "PINHOLE":
+    if camera.model == "PINHOLE" and len(camera.params) == 4:
         fx, fy, cx, cy = camera.params
         flat = (pixels - (cx, cy)) / (fx, fy)
     else:
-        flat = np.asarray(_colmap(camera).cam_from_img(pixels), np.float64).reshape(-1, 2)
+        model = _colmap(camera)
+        flat = np.asarray(model.cam_from_img(pixels), np.float64).reshape(-1, 2)
+        again = model.img_from_cam(np.column_stack([flat, np.ones(len(flat))]))
+        # beyond 90 degrees a fisheye's answer is some other pixel's ray
+        flat[~(np.abs(again - pixels) < TOLERANCE).all(axis=1)] = np.nan
     return np.column_stack([flat[:, 0], -flat[:, 1], -np.ones(len(flat))])
 
 
@@ -51,7 +57,7 @@ def project(camera: Camera, camera_to_world: np.ndarray, points: np.ndarray) -> 
     local = (np.asarray(points, np.float64) - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]
     local *= (1.0, -1.0, -1.0)  # COLMAP's camera space: y down, looking along +z
     local[local[:, 2] <= 0.0] = np.nan
-    if camera.model == "PINHOLE":
+    if camera.model == "PINHOLE" and len(camera.params) == 4:
         fx, fy, cx, cy = camera.params
         return local[:, :2] / local[:, 2:] * (fx, fy) + (cx, cy)
     return np.asarray(_colmap(camera).img_from_cam(local), np.float64).reshape(-1, 2)
@@ -61,14 +67,14 @@ def check_camera(camera: Camera) -> None:
     """Raise BadInput, without a file's name, unless rays can be cast for the camera."""
     if camera.width < 1 or camera.height < 1 or not np.isfinite(camera.params).all():
         raise BadInput(f"a {camera.model} camera has no size or is not finite; calibrate it again.")
-    if camera.model == "EQUIRECTANGULAR":
-        raise BadInput("a camera is EQUIRECTANGULAR; cut the panoramas into PINHOLE photos.")
     _colmap(camera)
 
 
 def _colmap(camera: Camera):  # type: ignore[no-untyped-def]
     import pycolmap  # here alone: only distorted cameras need it, and it must never meet Pillow
 
+    if camera.model == "EQUIRECTANGULAR":
+        raise BadInput("a camera is EQUIRECTANGULAR; cut the panoramas into PINHOLE photos.")
     known = camera.model in pycolmap.CameraModelId.__members__ and camera.model != "INVALID"
     made = None
     if known and 0 < camera.width < 2**31 and 0 < camera.height < 2**31:

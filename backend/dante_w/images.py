@@ -7,6 +7,7 @@ ignored on purpose: poses refer to the pixels as stored, in COLMAP as well.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -114,7 +115,7 @@ def _open(path: Path) -> Any:
     config.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(path), config)
     if source is None:
-        raise BadInput(f"{path}: cannot be read as an image ({_first_line(oiio.geterror())}); save it again.")
+        raise BadInput(f"{path}: cannot be read as an image ({_reason(oiio)}); save it again.")
     spec = source.spec()
     if source.format_name() not in FORMATS:
         raise BadInput(f"{path}: images of this kind are not read; save it as PNG, JPEG, TIFF or EXR.")
@@ -139,14 +140,17 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None, bool]:
     except MemoryError as error:
         raise OutOfRoom(f"{path}: does not fit in memory; use a smaller image.") from error
     damaged = pixels is None or source.has_error  # a cut JPEG yields pixels and an error
-    message = source.geterror()
+    reason = _reason(source)
     source.close()
     if damaged:
-        raise BadInput(f"{path}: is damaged ({_first_line(message)}); copy or save it again.")
+        raise BadInput(f"{path}: is damaged ({reason}); copy or save it again.")
     pixels = _display_window(pixels.reshape(spec.height, spec.width, spec.nchannels), spec)
     index = spec.alpha_channel
     alpha = pixels[:, :, index] if 0 <= index < spec.nchannels else None
-    names = list(spec.channelnames)
+    try:
+        names = list(spec.channelnames)
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: is damaged (its channels have no names); copy or save it again.") from error
     if {"R", "G", "B"} <= set(names):
         chosen = [names.index(name) for name in "RGB"]
     else:
@@ -184,24 +188,39 @@ def _write(path: Path, pixels: np.ndarray, attributes: dict[str, str]) -> None:
         spec.attribute(name, value)
     target = oiio.ImageOutput.create(str(path))
     if target is None or not target.open(str(path), spec):
-        message = (target or oiio).geterror()
         raise BadInput(
-            f"{path}: cannot be written ({_first_line(message)}); choose a folder you may write to."
+            f"{path}: cannot be written ({_reason(target or oiio)}); choose a folder you may write to."
         )
-    failure = ""
+    whole = True
     for top in range(0, height, _BAND):
         band = np.ascontiguousarray(pixels[top : top + _BAND]).reshape(-1, width, spec.nchannels)
-        written = target.write_scanlines(top, top + len(band), 0, band)
-        if not written or target.has_error:  # the PNG writer says True on a full disk
-            failure = target.geterror() or "no reason given"
-            break  # writing on after a failure can hang
-    closed = target.close()
-    failure = failure or target.geterror() or ("" if closed else "no reason given")
-    if failure:
+        # the PNG writer says True on a full disk; writing on after a failure can hang
+        whole = target.write_scanlines(top, top + len(band), 0, band) and not target.has_error
+        if not whole:
+            break
+    reason = _reason(target)
+    whole = target.close() and whole
+    if not (whole and _ends_well(path, height)):
         if not path.is_symlink():
             path.unlink(missing_ok=True)
-        raise OutOfRoom(f"{path}: could not be written ({_first_line(failure)}); free some disk space.")
+        raise OutOfRoom(f"{path}: could not be written whole ({reason}); free some disk space.")
 
 
-def _first_line(message: str) -> str:
-    return message.strip().split("\n")[0] or "no reason given"
+def _ends_well(path: Path, height: int) -> bool:
+    """Whether the end of a file just written is there: neither writer notices that its last bytes were lost."""
+    if not path.is_file():
+        return False
+    if path.suffix.lower() == ".png":
+        with open(path, "rb") as file:
+            file.seek(-min(12, path.stat().st_size), os.SEEK_END)
+            return file.read()[4:8] == b"IEND"
+    source = oiio.ImageInput.open(str(path))
+    return source is not None and source.read_scanlines(height - 1, height, 0, 0, 1, oiio.FLOAT) is not None
+
+
+def _reason(source: Any) -> str:
+    """The first line of OpenImageIO's latest error, which may quote a damaged file's bytes."""
+    try:
+        return source.geterror().strip().split("\n")[0] or "no reason given"
+    except UnicodeDecodeError:
+        return "no reason given"

@@ -18,6 +18,7 @@ Intrinsics may stand at the top level or in a frame, where they win.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -44,6 +45,7 @@ INTRINSIC_KEYS: dict[str, tuple[str, ...]] = {
     "OPENCV_FISHEYE": ("fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4"),
 }
 MESH_SUFFIXES = (".obj", ".ply", ".glb")
+LARGEST_SIDE = 2**20  #: pixels; more is a mistake
 
 
 @dataclass(frozen=True)
@@ -89,9 +91,9 @@ def read_scene(path: Path) -> Scene:
         # utf-8-sig: Windows tools write a byte order mark
         content = json.loads(source.read_text(encoding="utf-8-sig"))
         entries = content["frames"]
-        if not isinstance(entries, list):
+        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
             raise TypeError
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInput(
             f"{source}: not a transforms.json with a list of frames; export the scene again."
         ) from error
@@ -106,7 +108,7 @@ def write_scene(folder: Path, scene: Scene) -> Path:
     """Write `transforms.json` for files that lie inside `folder`; returns its path.
 
     Raises:
-        ValueError: a photo, mask, prior or mesh lies outside `folder`.
+        ValueError: a photo, mask, prior or mesh lies outside `folder`, or a number is not finite.
     """
     root = Path(folder).resolve()
 
@@ -127,17 +129,18 @@ def write_scene(folder: Path, scene: Scene) -> Path:
         content["frames"].append(entry)
     target = root / "transforms.json"
     partial = target.with_suffix(".json.partial")
-    partial.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    partial.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
     os.replace(partial, target)
     return target
 
 
 def _transforms_file(path: Path) -> Path:
-    if path.is_file():
-        return path.resolve()
-    for name in ("transforms.json", "transforms_train.json"):
-        if (path / name).is_file():
-            return (path / name).resolve()
+    with contextlib.suppress(OSError):  # a name too long for the system
+        if path.is_file():
+            return path.resolve()
+        for name in ("transforms.json", "transforms_train.json"):
+            if (path / name).is_file():
+                return (path / name).resolve()
     raise BadInput(f"{path}: no transforms.json here; name a scene folder or the parent of a COLMAP model.")
 
 
@@ -147,7 +150,7 @@ def _frame(source: Path, root: Path, index: int, entry: Mapping[str, Any]) -> Fr
     if not isinstance(name, str) or not name:
         raise BadInput(f"{where} has no file_path; name its photo.")
     image = _inside(source, root, name)
-    if not image.suffix and not image.exists():
+    if not image.suffix and not os.path.exists(image):
         image = image.with_suffix(".png")  # the NeRF synthetic scenes leave the ending out
     optional = {
         key: _inside(source, root, entry[key + "_path"]) if entry.get(key + "_path") else None
@@ -161,8 +164,8 @@ def _inside(source: Path, root: Path, name: Any) -> Path:
         path = (root / name).resolve()
     except (TypeError, OSError, ValueError, RuntimeError) as error:
         raise BadInput(f"{source}: {name!r} is not a usable path; correct it.") from error
-    if not path.is_relative_to(root):
-        raise BadInput(f"{source}: {name} lies outside the scene folder; move it inside.")
+    if path == root or not path.is_relative_to(root):
+        raise BadInput(f"{source}: {name!r} lies outside the scene folder; move it inside.")
     return path
 
 
@@ -176,55 +179,62 @@ def _mesh_file(root: Path, name: Any) -> Path | None:
 def _pose(where: str, rows: Any) -> np.ndarray:
     try:
         pose = np.asarray(rows, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         pose = np.empty(0)
     if pose.shape == (3, 4):
         pose = np.vstack([pose, [0.0, 0.0, 0.0, 1.0]])
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], (0, 0, 0, 1)):
         raise BadInput(
             f"{where} has a pose that is not a finite 4x4 transform_matrix; align that photo again."
         )
     rotation = pose[:3, :3]
-    scale = np.cbrt(abs(np.linalg.det(rotation)))
-    if scale == 0.0 or not np.allclose(rotation.T @ rotation, scale**2 * np.eye(3), atol=1e-3 * scale**2):
+    with np.errstate(over="ignore", invalid="ignore"):
+        scale = np.cbrt(np.linalg.det(rotation))
+        unit = rotation / scale if 0.0 < scale < np.inf else np.zeros((3, 3))  # a mirror has a negative one
+        rigid = np.allclose(unit.T @ unit, np.eye(3), atol=1e-3)
+    if not rigid:
         raise BadInput(f"{where} has a pose that is not a rotation and a position; align that photo again.")
-    pose[:3, :3] = rotation / scale  # Blender and RealityCapture may leave a uniform scale in the pose
+    pose[:3, :3] = unit  # Blender and RealityCapture may leave a uniform scale in the pose
     return pose
 
 
 def _camera(where: str, entry: Mapping[str, Any]) -> Camera:
     def number(key: str) -> float:
-        try:
-            value = float(entry[key])
-        except (KeyError, TypeError, ValueError):
-            raise BadInput(f"{where} has no usable {key}; write the camera's {key}.") from None
-        if not math.isfinite(value):
-            raise BadInput(f"{where} has a {key} that is not finite; calibrate that camera again.")
-        return value
+        if key not in entry:
+            raise BadInput(f"{where} has no {key}; write the camera's {key}.")
+        return _finite(where, key, entry[key])
 
     width, height = int(number("w")), int(number("h"))
-    if width < 1 or height < 1:
-        raise BadInput(f"{where} has an empty image size; write the photo's w and h in pixels.")
+    if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
+        raise BadInput(f"{where} has no usable image size; write the photo's w and h in pixels.")
     model = str(entry.get("camera_model", "OPENCV")).upper()
     if "params" in entry:
         if not isinstance(entry["params"], list):
             raise BadInput(f"{where} has params that are not a list; write COLMAP's camera parameters.")
         listed = {f"params[{i}]": value for i, value in enumerate(entry["params"])}
-        return Camera(
-            model, width, height, tuple(_finite(where, key, value) for key, value in listed.items())
-        )
+        params = tuple(_finite(where, key, value) for key, value in listed.items())
+        if not params or params[0] <= 0.0 or len(params) != len(INTRINSIC_KEYS.get(model, params)):
+            raise BadInput(f"{where} has params that are not those of {model}; write COLMAP's parameters.")
+        return Camera(model, width, height, params)
     if model not in (*INTRINSIC_KEYS, "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"):
         raise BadInput(f"{where} has camera_model {model}, which needs its COLMAP params as a list.")
+
+    def half_tangent(key: str) -> float:
+        angle = number(key)
+        if not 1e-6 < angle < math.pi:
+            raise BadInput(f"{where} has a {key} that is no field of view; write it in radians.")
+        return math.tan(angle / 2.0)
+
     if "fl_x" in entry:
         focal_x = number("fl_x")
     elif "camera_angle_x" in entry:
-        focal_x = width / (2.0 * math.tan(number("camera_angle_x") / 2.0))
+        focal_x = width / (2.0 * half_tangent("camera_angle_x"))
     else:
         raise BadInput(f"{where} has neither fl_x nor camera_angle_x; write its focal length in pixels.")
     if "fl_y" in entry:
         focal_y = number("fl_y")
     elif "fl_x" not in entry and "camera_angle_y" in entry:
-        focal_y = height / (2.0 * math.tan(number("camera_angle_y") / 2.0))
+        focal_y = height / (2.0 * half_tangent("camera_angle_y"))
     else:
         focal_y = focal_x
     if focal_x <= 0.0 or focal_y <= 0.0:
@@ -246,7 +256,7 @@ def _camera(where: str, entry: Mapping[str, Any]) -> Camera:
 def _finite(where: str, key: str, value: Any) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
         raise BadInput(f"{where} has a {key} that is not a finite number; calibrate that camera again.")
