@@ -159,6 +159,8 @@ def _accessor(document: dict[str, Any], binary: bytes, index: int, width: int) -
 def _moved(part: Arrays, matrix: np.ndarray) -> Arrays:
     """The part in world space; a mirroring matrix turns the faces' corners round, as glTF asks."""
     vertices, faces, uvs = part
+    if not np.isfinite(matrix).all():
+        raise BadInput("a node's transform is not finite; export the mesh again.")
     vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
     if np.linalg.det(matrix[:3, :3]) < 0.0:
         faces, uvs = faces[:, ::-1], None if uvs is None else uvs[:, ::-1]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 
 from dante_w.errors import BadInput
@@ -53,19 +51,21 @@ def numbers(lines: list[bytes], columns: int, what: str) -> np.ndarray:
         rows = [row if len(row) != 1 else [*row, b"0"] for row in rows]
     if min(map(len, rows)) < columns:
         raise BadInput(f"some {what} have fewer than {columns} numbers; export the mesh again.")
-    values = scan(b" ".join([b" ".join(row) for row in rows]), np.float64)
-    if len(values) != columns * len(rows):
-        raise BadInput(f"some {what} are not numbers; export the mesh again.")
+    message = f"some {what} are not numbers"
+    values = scan(b" ".join([b" ".join(row) for row in rows]), np.float64, message)
+    if len(values) != columns * len(rows):  # 1-2 reads as two
+        raise BadInput(f"{message}; export the mesh again.")
     return values.reshape(-1, columns)
 
 
-def scan(text: bytes, kind: type) -> np.ndarray:
-    """The numbers of a text, up to the first word that is none."""
+def scan(text: bytes, kind: type, what: str) -> np.ndarray:
+    """The numbers of a text, separated by white space. Raises BadInput for any other word."""
     if not text.strip():
         return np.empty(0, kind)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
+    try:
         return np.fromstring(text, kind, sep=" ")
+    except ValueError as error:
+        raise BadInput(f"{what}; export the mesh again.") from error
 
 
 def _corners(polygons: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
@@ -85,9 +85,10 @@ def _corners(polygons: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
     text = b" ".join(corners) + b" "
     if columns > 1:
         text = text.replace(b"//", b"/0/").replace(b"/ ", b"/0 ").replace(b"/", b" ")
-    values = scan(text, np.int64)
+    message = "a face has corners that are not whole numbers"
+    values = scan(text, np.int64, message)
     if len(values) != columns * len(corners):
-        raise BadInput("a face has corners that are not whole numbers; export the mesh again.")
+        raise BadInput(f"{message}; export the mesh again.")
     values = values.reshape(-1, columns)
     pairs = np.zeros((len(values), 2), np.int64)
     pairs[:, : min(columns, 2)] = values[:, :2]

@@ -49,7 +49,7 @@ def parse_ply(data: bytes) -> Arrays:
     """
     order, elements, body = _header(data)
     if order == "":  # from here on, ASCII is a binary file of doubles
-        body = scan(body, np.float64).tobytes()
+        body = scan(body, np.float64, "the mesh holds words that are not numbers").tobytes()
     columns: dict[str, dict[str, _Column]] = {}
     position = 0
     for element in elements:
