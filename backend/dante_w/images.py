@@ -56,10 +56,10 @@ def read_photo(path: Path, mask: Path | None = None) -> Photo:
         OutOfRoom: the photo does not fit in memory.
     """
     colour, alpha, linear = _read(path)
-    finite = np.isfinite(colour).all(axis=2)
-    if not finite.all():
-        colour[~finite] = 0.0
     srgb = srgb_from_linear_array(colour) if linear else colour
+    finite = np.isfinite(srgb).all(axis=2)
+    if not finite.all():
+        srgb[~finite] = 0.0
     foreground = finite if alpha is None else finite & (alpha > FOREGROUND)
     if mask is not None:
         inside = _read(mask)[0][:, :, 0]

@@ -7,12 +7,11 @@ a child process: this one stays able to report, and to be cancelled.
 from __future__ import annotations
 
 import contextlib
+import io
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -23,20 +22,33 @@ PADDING = 4  #: texels between charts
 _FACES_PER_SECOND = 3000.0  #: measured on one core; only the progress shown depends on it
 _BEAT = 0.25  #: seconds between reports
 
+#: Reads the arrays from stdin, writes their UVs to stdout. It must not outlive the backend, which may leave
+#: in the middle of this, nor wait for xatlas when Ctrl-C is pressed.
 _CHILD = """
+import ctypes
+import io
+import signal
 import sys
 import numpy as np
 import xatlas
-folder, size, padding = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+if sys.platform == "linux":
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+size, padding = int(sys.argv[1]), int(sys.argv[2])
+arrays = io.BytesIO(sys.stdin.buffer.read())
+vertices, faces = np.load(arrays), np.load(arrays)
 atlas = xatlas.Atlas()
-atlas.add_mesh(np.load(folder + "/vertices.npy"), np.load(folder + "/faces.npy"))
+atlas.add_mesh(vertices, faces)
 pack = xatlas.PackOptions()
 pack.padding, pack.resolution, pack.bilinear = padding, size, True
 atlas.generate(xatlas.ChartOptions(), pack)
 _, corners, uvs = atlas.get_mesh(0)
-uvs = uvs * np.array([atlas.width, atlas.height]) / max(atlas.width, atlas.height, 1)
-np.save(folder + "/uvs.npy", uvs[corners])
-np.save(folder + "/atlases.npy", atlas.atlas_count)
+if atlas.atlas_count != 1:
+    sys.exit("the charts do not fit one texture")
+uvs = uvs * (np.array([atlas.width, atlas.height]) / max(atlas.width, atlas.height))
+result = io.BytesIO()
+np.save(result, uvs[corners].astype(np.float64))
+sys.stdout.buffer.write(result.getvalue())
 """
 
 
@@ -51,19 +63,15 @@ def unwrap(mesh: Mesh, progress: Callable[[float], None], size: int = 2048) -> M
 
     Raises:
         BadInput: xatlas could not unwrap the mesh.
-        OutOfRoom: there was no room for its files, or the child ran out of memory.
+        OutOfRoom: the child ran out of memory.
     """
-    with tempfile.TemporaryDirectory(prefix="dante-w-unwrap-") as folder:
-        try:
-            np.save(Path(folder) / "vertices.npy", _unit_cube(mesh.vertices))
-            np.save(Path(folder) / "faces.npy", mesh.faces.astype(np.uint32))
-        except OSError as error:
-            raise OutOfRoom(f"{folder}: no room to unwrap in; free some disk space.") from error
-        _run_child(folder, size, progress, len(mesh.faces) / _FACES_PER_SECOND)
-        uvs = np.load(Path(folder) / "uvs.npy").astype(np.float64)
-        atlases = int(np.load(Path(folder) / "atlases.npy"))
-    if uvs.shape != (len(mesh.faces), 3, 2) or not np.isfinite(uvs).all() or atlases != 1:
-        raise BadInput("the mesh could not be unwrapped onto one texture; unwrap it in Blender.")
+    arrays = io.BytesIO()
+    np.save(arrays, _unit_cube(mesh.vertices))
+    np.save(arrays, mesh.faces.astype(np.uint32))
+    result = _run_child(arrays.getvalue(), size, progress, len(mesh.faces) / _FACES_PER_SECOND)
+    uvs = np.load(io.BytesIO(result))
+    if uvs.shape != (len(mesh.faces), 3, 2) or not np.isfinite(uvs).all():
+        raise BadInput("the mesh could not be unwrapped (xatlas left faces out); unwrap it in Blender.")
     progress(1.0)
     return Mesh(mesh.vertices, mesh.faces, uvs)
 
@@ -75,21 +83,28 @@ def _unit_cube(vertices: np.ndarray) -> np.ndarray:
     return ((vertices - low) / (extent or 1.0)).astype(np.float32)
 
 
-def _run_child(folder: str, size: int, progress: Callable[[float], None], expected: float) -> None:
-    command = [sys.executable, "-I", "-c", _CHILD, folder, str(size), str(PADDING)]
-    child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+def _run_child(data: bytes | None, size: int, progress: Callable[[float], None], expected: float) -> bytes:
+    child = subprocess.Popen(
+        [sys.executable, "-I", "-c", _CHILD, str(size), str(PADDING)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+    )
     began = time.monotonic()
+    result: bytes | None = None
     try:
-        while child.poll() is None:
+        while result is None:
             share = (time.monotonic() - began) / max(expected, 1e-3)
             progress(share / (1.0 + share))  # never done before it is
             with contextlib.suppress(subprocess.TimeoutExpired):
-                child.wait(_BEAT)
+                result, _ = child.communicate(data, timeout=_BEAT)
+            data = None  # communicate remembers it
     finally:
         if child.poll() is None:
             child.kill()
-            child.wait()
+            child.communicate()
     if child.returncode == -9:  # killed by the system
         raise OutOfRoom("memory ran out while unwrapping; decimate the mesh or unwrap it in Blender.")
     if child.returncode != 0:
         raise BadInput("the mesh could not be unwrapped (xatlas failed); unwrap it in Blender.")
+    return result

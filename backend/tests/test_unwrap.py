@@ -1,4 +1,8 @@
+import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -91,3 +95,34 @@ def test_failures_have_a_sentence(monkeypatch):
     monkeypatch.setattr(module, "_CHILD", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)")
     with pytest.raises(OutOfRoom, match="memory"):
         unwrap(cube(), lambda share: None, 64)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the child is tied to its parent on Linux alone")
+def test_the_child_dies_with_its_parent(tmp_path):
+    slow = module._CHILD.replace("atlas = xatlas", "import time; time.sleep(60); atlas = xatlas", 1)
+    assert "time.sleep" in slow
+    script = (
+        "import os, threading, time\n"
+        "from dante_w import unwrap\n"
+        "from test_unwrap import cube\n"
+        f"unwrap._CHILD = {slow!r}\n"
+        "threading.Thread(target=unwrap.unwrap, args=(cube(), lambda share: None, 64), daemon=True).start()\n"
+        "time.sleep(1.5)\n"
+        "children = open(f'/proc/{os.getpid()}/task/{threading.enumerate()[-1].native_id}/children').read().split()\n"
+        "print(*children, flush=True)\n"
+        "os._exit(3)\n"
+    )
+    paths = os.pathsep.join([str(Path(__file__).parent), str(Path(module.__file__).parents[1])])
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": paths},
+        timeout=30,
+    )
+    (child,) = done.stdout.split()
+    for _ in range(50):
+        if not Path(f"/proc/{child}").exists() or " Z " in Path(f"/proc/{child}/stat").read_text():
+            return
+        time.sleep(0.1)
+    raise AssertionError("the child lives on")
