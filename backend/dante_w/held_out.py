@@ -1,0 +1,51 @@
+"""How well photos that the fit never saw are re-rendered."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dante_w.fields import Model
+from dante_w.optimise import LossTerms, Progress, Schedule, fit, photo_ranges, psnr
+from dante_w.ray_cache import RayCache
+
+#: One photo in this many is held out ...
+ONE_IN = 8
+#: ... from this many photos up.
+FEWEST = 5
+#: Horizontal bands of a held-out photo that take turns in fitting and scoring.
+BANDS = 32
+#: Enough for the handful of numbers that belong to a single photo.
+SCHEDULE = Schedule(steps=100, batch=1 << 13, learning_rate=2e-2)
+
+
+def choose_held_out(photos: int) -> np.ndarray:
+    """Indices of the held-out photos, evenly spread; at least one from five photos up, none below."""
+    if photos < FEWEST:
+        return np.zeros(0, np.int64)
+    count = max(photos // ONE_IN, 1)
+    return ((np.arange(count) + 0.5) * photos / count).astype(np.int64)
+
+
+def held_out_psnr(
+    model: Model, cache: RayCache, held_out: np.ndarray, seed: int, progress: Progress
+) -> float | None:
+    """PSNR in dB of the re-rendered held-out photos (sRGB), or None if they see nothing.
+
+    A held-out photo has a light and an exposure of its own, which no other photo tells. So its embedding,
+    exposure and offset, and nothing else, are fitted on one half of its pixels, in bands, and the score is
+    taken on the other half (as in NeRF-W, section 4).
+    """
+    fitted, scored = _bands(photo_ranges(cache, held_out))
+    if len(scored) == 0:
+        return None
+    terms = LossTerms(prior_weight=0.0)
+    fit(model, cache, fitted, terms, SCHEDULE, seed, progress, model.photo_parameters())
+    return psnr(model, cache, np.concatenate([np.arange(first, end) for first, end in scored]))
+
+
+def _bands(ranges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Split each range (first, end) into `BANDS` pieces; the even ones and the odd ones, both (R, 2)."""
+    cuts = np.linspace(ranges[:, 0], ranges[:, 1], BANDS + 1, axis=1).astype(np.int64)
+    pieces = np.stack([cuts[:, :-1], cuts[:, 1:]], axis=2)
+    even, odd = pieces[:, ::2].reshape(-1, 2), pieces[:, 1::2].reshape(-1, 2)
+    return even[even[:, 1] > even[:, 0]], odd[odd[:, 1] > odd[:, 0]]

@@ -1,0 +1,70 @@
+"""Gather everything a command works on, and find bad input before any long work begins."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+from dante_w.colmap import is_colmap, read_colmap
+from dante_w.errors import BadInput
+from dante_w.images import read_size
+from dante_w.mesh import Mesh, read_mesh
+from dante_w.scene_folder import Frame, Scene, read_scene
+
+
+def load_scene(
+    path: Path, mesh: Path | None = None, images: Path | None = None, priors: Path | None = None
+) -> tuple[Scene, Mesh]:
+    """Read a scene folder or a COLMAP model's parent, and its mesh.
+
+    Args:
+        mesh: used instead of the scene's own.
+        images: the photos of a COLMAP model.
+        priors: a folder of albedo images named like the photos; a photo without one goes without.
+
+    Raises:
+        BadInput: something is missing, unreadable, or does not fit together.
+    """
+    scene = read_colmap(path, images) if is_colmap(path) and not _has_transforms(path) else read_scene(path)
+    if priors is not None:
+        scene = dataclasses.replace(scene, frames=_with_priors(scene.frames, priors))
+    source = mesh or scene.mesh
+    if source is None:
+        raise BadInput(f"{path}: no mesh.obj, mesh.ply or mesh.glb here; name the mesh with --mesh.")
+    for frame in scene.frames:
+        _check_size(frame)
+    return scene, read_mesh(source)
+
+
+def _has_transforms(path: Path) -> bool:
+    return path.is_file() or (path / "transforms.json").is_file()
+
+
+def _check_size(frame: Frame) -> None:
+    size, camera = read_size(frame.image), frame.camera
+    if size != (camera.width, camera.height):
+        raise BadInput(
+            f"{frame.image}: the photo is {size[0]} x {size[1]} but its camera says {camera.width} x "
+            f"{camera.height}; use the photos that were aligned, or correct the camera."
+        )
+    if frame.albedo is None:
+        return
+    width, height = read_size(frame.albedo)
+    if abs(math.log((width / height) / (size[0] / size[1]))) > 0.05:
+        raise BadInput(
+            f"{frame.albedo}: the prior is {width} x {height}, another shape than its photo "
+            f"({size[0]} x {size[1]}); make it from the uncropped photo."
+        )
+
+
+def _with_priors(frames: list[Frame], folder: Path) -> list[Frame]:
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: there is no such folder of priors; correct --priors.")
+    by_stem = {path.stem: path.resolve() for path in sorted(folder.iterdir()) if path.is_file()}
+    found = [dataclasses.replace(frame, albedo=by_stem.get(frame.image.stem)) for frame in frames]
+    if not any(frame.albedo for frame in found):
+        raise BadInput(
+            f"{folder}: no prior is named like a photo ({frames[0].image.name}, ...); rename them."
+        )
+    return found

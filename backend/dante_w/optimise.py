@@ -1,0 +1,133 @@
+"""Fitting the model to the ray cache by stochastic gradient descent (paper, section 3.3 and Eq. 4, 6, 7)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from dante_w.color import linear_from_srgb, srgb_from_linear
+from dante_w.fields import Model
+from dante_w.ray_cache import RayCache, Samples
+
+#: Samples drawn as one run of neighbours: they share table entries, so memory is touched less often.
+RUN = 16
+#: The learning rate falls along a cosine to this fraction.
+FINAL_RATE = 1.0 / 30.0
+
+
+@dataclass(frozen=True)
+class LossTerms:
+    """What is minimised: `photometric` turns Eq. 6 on, `prior_weight` is lambda of Eq. 7."""
+
+    photometric: bool = True
+    prior_weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class Schedule:
+    steps: int
+    batch: int
+    learning_rate: float = 2e-3
+
+
+#: Called after each step with (steps done, steps in all, a recent loss).
+Progress = Callable[[int, int, float], None]
+
+
+def model_loss(model: Model, samples: Samples, terms: LossTerms) -> torch.Tensor:
+    """|gamma(c) - I| + lambda |a - A'| as a mean over samples and channels; photos without a prior leave out the
+    second term. gamma is the sRGB transfer; albedo is compared in linear colour."""
+    albedo = model.albedo(samples.uv)
+    loss = albedo.new_zeros(())
+    if terms.photometric:
+        colour = model.colour(albedo, samples.position, samples.photo)
+        loss = loss + (srgb_from_linear(colour) - samples.colour).abs().mean()
+    if samples.prior is not None and terms.prior_weight > 0.0:
+        known = torch.isfinite(samples.prior)
+        difference = albedo - linear_from_srgb(torch.where(known, samples.prior, 0.0))
+        loss = loss + terms.prior_weight * torch.where(known, difference, 0.0).abs().mean()
+    return loss
+
+
+def fit(
+    model: Model,
+    cache: RayCache,
+    ranges: np.ndarray,
+    terms: LossTerms,
+    schedule: Schedule,
+    seed: int,
+    progress: Progress,
+    parameters: list[torch.nn.Parameter] | None = None,
+) -> None:
+    """Minimise `model_loss` over random samples of the cache, in place.
+
+    Args:
+        ranges: (R, 2), the samples to draw from; see `photo_ranges`.
+        parameters: what to change; everything by default.
+    """
+    device = model.offset.device
+    chosen = list(model.parameters()) if parameters is None else parameters
+    optimiser = torch.optim.Adam(chosen, lr=schedule.learning_rate, eps=1e-15, fused=device.type != "mps")
+    rate = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: cosine(step, schedule.steps))
+    draws = batches(ranges, schedule.batch, seed)
+    latest = math.nan
+    for step in range(schedule.steps):
+        samples = cache.samples(next(draws), device)
+        optimiser.zero_grad(set_to_none=True)
+        loss = model_loss(model, samples, terms)
+        gradients = torch.autograd.grad(loss, chosen, allow_unused=True)
+        for parameter, gradient in zip(chosen, gradients, strict=True):
+            parameter.grad = gradient
+        optimiser.step()
+        rate.step()
+        if step % 10 == 0:  # reading the loss waits for the device
+            latest = float(loss.detach())
+        progress(step + 1, schedule.steps, latest)
+
+
+def cosine(step: int, steps: int) -> float:
+    """Learning rate factor from 1 down to `FINAL_RATE`."""
+    return FINAL_RATE + (1.0 - FINAL_RATE) * 0.5 * (1.0 + math.cos(math.pi * step / max(steps, 1)))
+
+
+def photo_ranges(cache: RayCache, photos: np.ndarray) -> np.ndarray:
+    """(R, 2): first sample and end of each photo's run; photos that see nothing are left out."""
+    ranges = np.stack([cache.starts[photos], cache.starts[photos + 1]], axis=1)
+    return ranges[ranges[:, 1] > ranges[:, 0]]
+
+
+def batches(ranges: np.ndarray, batch: int, seed: int) -> Iterator[np.ndarray]:
+    """Endless random batches of sample indices from ranges (R, 2) of the cache, in runs of `RUN` neighbours.
+
+    Every sample is drawn with the same probability. With fewer samples than a batch, samples repeat.
+    """
+    generator = np.random.default_rng(seed)
+    lengths = ranges[:, 1] - ranges[:, 0]
+    ends = np.cumsum(lengths)
+    within = np.arange(RUN)
+    runs = max(batch // RUN, 1)
+    while True:
+        ranks = generator.integers(0, ends[-1], runs)
+        which = np.searchsorted(ends, ranks, side="right")
+        length = lengths[which]
+        # a run that reaches the end of its range goes on at its start: no sample is drawn less often
+        place = (ranks - (ends[which] - length))[:, None] + within
+        yield (ranges[which, :1] + place % length[:, None]).reshape(-1)
+
+
+@torch.no_grad()
+def psnr(model: Model, cache: RayCache, index: np.ndarray) -> float:
+    """PSNR in dB of re-rendered sRGB colours against the photos at the given samples."""
+    device = model.offset.device
+    squared, count = 0.0, 0
+    for start in range(0, len(index), 1 << 17):
+        samples = cache.samples(index[start : start + (1 << 17)], device)
+        colour = model.colour(model.albedo(samples.uv), samples.position, samples.photo)
+        error = srgb_from_linear(colour).clamp(0.0, 1.0) - samples.colour.clamp(0.0, 1.0)
+        squared += float(error.double().square().sum())
+        count += error.numel()
+    return -10.0 * math.log10(max(squared / max(count, 1), 1e-12))

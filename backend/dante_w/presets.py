@@ -1,0 +1,52 @@
+"""The presets: how large the model is and how long it is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from dante_w.fields import ModelSpec
+from dante_w.hash_encoding import GridSpec
+from dante_w.optimise import Schedule
+
+
+@dataclass(frozen=True)
+class Preset:
+    """`texture_size` is the default; `schedule` is the main pass, `final_pass` the one over all photos."""
+
+    texture_size: int
+    model: ModelSpec
+    schedule: Schedule
+    final_pass: Schedule
+
+
+def _cpu_sized(albedo_finest: int, log2_table: int, steps: int, batch: int) -> Preset:
+    model = ModelSpec(
+        albedo=GridSpec(2, levels=12, features=2, coarsest=16, finest=albedo_finest, log2_table=log2_table),
+        irradiance=GridSpec(3, levels=6, features=2, coarsest=4, finest=64, log2_table=16),
+        hidden=32,
+    )
+    return Preset(2048, model, Schedule(steps, batch), Schedule(steps // 4, batch, 5e-4))
+
+
+def equal_bands(model: ModelSpec) -> ModelSpec:
+    """The paper's ablation: irradiance with the albedo's resolutions, so that nothing tells them apart."""
+    fine = replace(model.irradiance, levels=model.albedo.levels, finest=model.albedo.finest)
+    return replace(model, irradiance=fine)
+
+
+PRESETS = {
+    "draft": _cpu_sized(albedo_finest=1024, log2_table=17, steps=200, batch=1 << 15),
+    "standard": _cpu_sized(albedo_finest=2048, log2_table=19, steps=800, batch=1 << 15),
+    "high": _cpu_sized(albedo_finest=4096, log2_table=21, steps=4000, batch=1 << 16),
+    # the released reference: grids, decoders, rays a step; 1000 steps a pass, up to 20 passes
+    "paper": Preset(
+        2048,
+        ModelSpec(
+            albedo=GridSpec(2, levels=16, features=2, coarsest=16, finest=2048, log2_table=22),
+            irradiance=GridSpec(3, levels=16, features=2, coarsest=16, finest=413, log2_table=22),
+            hidden=64,
+        ),
+        Schedule(16000, 1 << 16),
+        Schedule(4000, 1 << 16, 5e-4),
+    ),
+}

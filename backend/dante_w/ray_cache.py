@@ -1,0 +1,253 @@
+"""The ray cache: every foreground pixel of every photo and the surface point it sees, traced once.
+
+A sample takes 14 bytes, or 20 with a prior: the face (int32) and two barycentric weights (uint16) give texture
+coordinate, position and normal; the photo's colour and the prior's albedo are three halves each, sRGB-encoded.
+Samples lie photo after photo in raster order, so the photo needs no storage either, and neighbours on the
+surface are neighbours in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import psutil
+import torch
+
+from dante_w.cameras import directions
+from dante_w.errors import BadInput
+from dante_w.images import Photo, read_photo
+from dante_w.mesh import Mesh
+from dante_w.raycast import Frame3D, Raycaster
+from dante_w.scene_folder import Frame
+
+#: Surfaces seen at a flatter angle than this cosine are left out: their pixels smear over many texels.
+GRAZING = 0.1
+#: The largest finite half; brighter encoded values are stored as this.
+HALF_MAX = 65504.0
+#: Pixels made into rays at once.
+ROWS_OF_PIXELS = 1 << 20
+_FIELDS = {"face": (np.int32, ()), "bary": (np.uint16, (2,)), "colour": (np.float16, (3,))}
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The mesh as the samples need it, per face corner: texture coordinates (F, 3, 2) and positions (F, 3, 3)
+    in the unit cube, float32."""
+
+    uvs: torch.Tensor
+    positions: torch.Tensor
+
+    def to(self, device: torch.device) -> Surface:
+        return Surface(self.uvs.to(device), self.positions.to(device))
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A batch: photo index (N,), texture coordinate (N, 2), position in the unit cube (N, 3), photo colour and
+    prior albedo (N, 3), both sRGB-encoded. `prior` is None without priors, NaN where a photo has none."""
+
+    photo: torch.Tensor
+    uv: torch.Tensor
+    position: torch.Tensor
+    colour: torch.Tensor
+    prior: torch.Tensor | None
+
+
+@dataclass(frozen=True)
+class RayCache:
+    """All samples of all photos. `starts` (K + 1,) bounds each photo's run of samples."""
+
+    surface: Surface
+    starts: np.ndarray
+    face: np.ndarray
+    bary: np.ndarray
+    colour: np.ndarray
+    prior: np.ndarray | None
+
+    def __len__(self) -> int:
+        return int(self.starts[-1])
+
+    def samples(self, index: np.ndarray, device: torch.device) -> Samples:
+        """The samples at `index` (N,), on `device`."""
+        photo = np.searchsorted(self.starts, index, side="right") - 1
+
+        def fetch(array: np.ndarray) -> torch.Tensor:
+            return torch.from_numpy(array[index]).to(device)
+
+        face = fetch(self.face).long()
+        second_third = torch.from_numpy(self.bary[index].astype(np.int32)).to(device).float() / 65535.0
+        bary = torch.cat([1.0 - second_third.sum(1, keepdim=True), second_third], dim=1)[:, None, :]
+        surface = self.surface if self.surface.uvs.device == device else self.surface.to(device)
+        return Samples(
+            torch.from_numpy(photo).to(device),
+            torch.bmm(bary, surface.uvs[face])[:, 0],
+            torch.bmm(bary, surface.positions[face])[:, 0],
+            fetch(self.colour).float(),
+            None if self.prior is None else fetch(self.prior).float(),
+        )
+
+
+#: Called for each photo with texture coordinates (N, 2) float64, the pixels' footprints on the texture as
+#: fractions of its side (N,), and sRGB-encoded colours (N, 3).
+Visitor = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
+
+
+def trace(
+    mesh: Mesh,
+    frames: Sequence[Frame],
+    visit: Visitor,
+    progress: Callable[[float], None],
+    spill: Path,
+) -> RayCache:
+    """Cast one ray through each foreground pixel centre of each photo.
+
+    Args:
+        mesh: with UVs.
+        frames: the photos; a frame's prior is used when it has one.
+        visit: sees each photo's hits while they are at hand.
+        progress: called with the fraction done.
+        spill: folder for the cache when it would fill more than a third of the free memory.
+
+    Raises:
+        BadInput: a photo cannot be read, or no pixel sees the mesh.
+    """
+    assert mesh.uvs is not None
+    frame3d = Frame3D.of(mesh.vertices)
+    caster = Raycaster(mesh, frame3d)
+    corners = frame3d.normalise(mesh.vertices)[mesh.faces]
+    fields = dict(_FIELDS)
+    if any(frame.albedo for frame in frames):
+        fields["prior"] = (np.float16, (3,))
+    pixels = sum(frame.camera.width * frame.camera.height for frame in frames)
+    sample_bytes = sum(np.dtype(kind).itemsize * int(np.prod(shape)) for kind, shape in fields.values())
+    to_disk = pixels * sample_bytes > psutil.virtual_memory().available / 3
+    columns = {name: _Column(spill / name if to_disk else None, *fields[name]) for name in fields}
+
+    face_normals, texels_per_length = _face_geometry(corners, mesh.uvs)
+    counts = []
+    with ThreadPoolExecutor(2) as readers:  # a photo or two ahead of the rays, no more in memory
+        loading = [readers.submit(_read, frame) for frame in frames[:2]]
+        for index, frame in enumerate(frames):
+            photo, prior = loading.pop(0).result()
+            if index + 2 < len(frames):
+                loading.append(readers.submit(_read, frames[index + 2]))
+            found = _trace_photo(frame, photo, caster, frame3d, face_normals, texels_per_length)
+            pixel, face, bary, footprint = found
+            colour = photo.srgb.reshape(-1, 3)[pixel]
+            columns["face"].append(face)
+            columns["bary"].append(np.rint(bary * 65535.0))
+            columns["colour"].append(colour.clip(-HALF_MAX, HALF_MAX))
+            if "prior" in columns:
+                empty = np.full((len(pixel), 3), np.nan, np.float16)
+                columns["prior"].append(empty if prior is None else _prior_colours(prior, pixel))
+            counts.append(len(pixel))
+            visit(_interpolate(mesh.uvs, face, bary), footprint, colour)
+            progress((index + 1) / len(frames))
+    if sum(counts) == 0:
+        raise BadInput(
+            f"{frames[0].image.parent}: no pixel sees the mesh; check that cameras and mesh share one "
+            "coordinate system."
+        )
+    arrays = {name: column.finish() for name, column in columns.items()}
+    surface = Surface(torch.from_numpy(mesh.uvs).float(), torch.from_numpy(corners).float())
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return RayCache(surface, starts, arrays["face"], arrays["bary"], arrays["colour"], arrays.get("prior"))
+
+
+class _Column:
+    """One field of the cache while it grows, in memory or in a file."""
+
+    def __init__(self, file: Path | None, kind: type, shape: tuple[int, ...]) -> None:
+        self._kind, self._shape = np.dtype(kind), shape
+        self._file, self._rows = file, 0
+        self._parts: list[np.ndarray] = []
+
+    def append(self, rows: np.ndarray) -> None:
+        rows = np.ascontiguousarray(rows, self._kind)
+        self._rows += len(rows)
+        if self._file is None:
+            self._parts.append(rows)
+        else:
+            with open(self._file, "ab") as out:
+                out.write(rows.data)
+
+    def finish(self) -> np.ndarray:
+        if self._file is None:
+            parts, self._parts = self._parts, []
+            return np.concatenate(parts)
+        return np.memmap(self._file, self._kind, "r", shape=(self._rows, *self._shape))
+
+
+def _read(frame: Frame) -> tuple[Photo, Photo | None]:
+    photo = read_photo(frame.image, frame.mask)
+    if frame.albedo is None:
+        return photo, None
+    prior = read_photo(frame.albedo)
+    size = (frame.camera.width, frame.camera.height)
+    return photo, Photo(_resize(prior.srgb, size), np.ones(size[::-1], bool))
+
+
+def _resize(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Bilinear, pixel centres aligned; priors often come smaller than their photo."""
+    if image.shape[1::-1] == size:
+        return image
+    planes = torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1)[None]
+    resized = torch.nn.functional.interpolate(planes, size[::-1], mode="bilinear", antialias=True)
+    return resized[0].permute(1, 2, 0).contiguous().numpy()
+
+
+def _prior_colours(prior: Photo, pixel: np.ndarray) -> np.ndarray:
+    return prior.srgb.reshape(-1, 3)[pixel].clip(0.0, 1.0)
+
+
+def _trace_photo(
+    frame: Frame,
+    photo: Photo,
+    caster: Raycaster,
+    frame3d: Frame3D,
+    face_normals: np.ndarray,
+    texels_per_length: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Pixel index, face, barycentric weights and footprint of each pixel that sees the mesh."""
+    foreground = np.flatnonzero(photo.foreground.reshape(-1))
+    rotation = frame.camera_to_world[:3, :3]
+    origin = frame3d.normalise(frame.camera_to_world[:3, 3])
+    parts = []
+    for start in range(0, len(foreground), ROWS_OF_PIXELS):
+        pixel = foreground[start : start + ROWS_OF_PIXELS]
+        centres = np.column_stack([pixel % frame.camera.width, pixel // frame.camera.width]) + 0.5
+        rays = directions(frame.camera, centres) @ rotation.T
+        hits = caster.cast(origin, rays)
+        rays = rays[hits.ray]
+        length = np.linalg.norm(rays, axis=1)
+        cosine = np.abs(np.einsum("ij,ij->i", rays, face_normals[hits.face])) / length
+        # one pixel spans depth / focal length across the ray, and 1 / cosine more along the surface
+        span = hits.distance * length / frame.camera.params[0] / np.maximum(cosine, GRAZING)
+        keep = cosine > GRAZING
+        footprint = (span * texels_per_length[hits.face])[keep]
+        parts.append((pixel[hits.ray[keep]], hits.face[keep], hits.bary[keep], footprint))
+    if not parts:
+        return np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, 2)), np.zeros(0)
+    pixel, face, bary, footprint = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return pixel, face, bary, footprint
+
+
+def _face_geometry(corners: np.ndarray, uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals (F, 3), zero for degenerate faces, and texture lengths per unit-cube length (F,)."""
+    edges = corners[:, 1:] - corners[:, :1]
+    cross = np.cross(edges[:, 0], edges[:, 1])
+    area = np.linalg.norm(cross, axis=1)
+    sides = uvs[:, 1:] - uvs[:, :1]
+    uv_area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    solid = area > 0.0
+    safe = np.where(solid, area, 1.0)
+    return cross / safe[:, None], np.sqrt(np.where(solid, uv_area / safe, 0.0))
+
+
+def _interpolate(corner_values: np.ndarray, face: np.ndarray, bary: np.ndarray) -> np.ndarray:
+    weights = np.column_stack([1.0 - bary.sum(axis=1), bary]).astype(np.float64)
+    return np.einsum("nc,ncd->nd", weights, corner_values[face])

@@ -1,0 +1,93 @@
+"""Where rays first meet the mesh, by Embree, on all cores."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from dante_w.mesh import Mesh
+
+#: Rays in one Embree call: enough to amortise it, few enough to spread over threads.
+CHUNK = 1 << 17
+
+
+@dataclass(frozen=True)
+class Frame3D:
+    """The similarity that takes the mesh's bounding cube to [0, 1]^3: x01 = (x - origin) / extent.
+
+    Everything downstream is float32 or less, so geometry is recentred here, in float64, once.
+    """
+
+    origin: np.ndarray
+    extent: float
+
+    @classmethod
+    def of(cls, vertices: np.ndarray) -> Frame3D:
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        extent = float((high - low).max()) or 1.0
+        return cls((low + high) / 2.0 - extent / 2.0, extent)
+
+    def normalise(self, points: np.ndarray) -> np.ndarray:
+        """World points (..., 3) to the unit cube, float64."""
+        return (np.asarray(points, np.float64) - self.origin) / self.extent
+
+
+@dataclass(frozen=True)
+class Hits:
+    """First hits of a bundle of rays. `ray` are the indices (M,) of the rays that met the mesh; for those,
+    `face` (M,), barycentric weights `bary` (M, 2) of the face's second and third corner, and `distance`
+    (M,) in units of the ray direction's length."""
+
+    ray: np.ndarray
+    face: np.ndarray
+    bary: np.ndarray
+    distance: np.ndarray
+
+
+class Raycaster:
+    """An Embree scene over a mesh in its unit cube (`Frame3D`)."""
+
+    def __init__(self, mesh: Mesh, frame: Frame3D) -> None:
+        self._scene = EmbreeScene()
+        vertices = frame.normalise(mesh.vertices).astype(np.float32)
+        self._mesh = TriangleMesh(self._scene, vertices, mesh.faces.astype(np.int32))
+        self._threads = ThreadPoolExecutor(os.cpu_count())
+        self._cast(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the BVH here and now
+
+    def cast(self, origin: np.ndarray, directions: np.ndarray) -> Hits:
+        """First hits of rays from one point.
+
+        Args:
+            origin: (3,) in the unit cube's frame; may lie outside of it.
+            directions: (N, 3), any length; rays with a direction that is not finite hit nothing.
+        """
+        usable = np.flatnonzero(np.isfinite(directions).all(axis=1))
+        starts = range(0, len(usable), CHUNK)
+        origins = np.broadcast_to(np.asarray(origin, np.float32), (min(CHUNK, len(usable)), 3)).copy()
+
+        def chunk(start: int) -> Hits:
+            rays = usable[start : start + CHUNK]
+            found = self._cast(origins[: len(rays)], directions[rays].astype(np.float32))
+            hit = np.flatnonzero(found["primID"] >= 0)
+            return Hits(
+                rays[hit],
+                found["primID"][hit],
+                np.column_stack([found["u"][hit], found["v"][hit]]),
+                found["tfar"][hit],
+            )
+
+        parts = list(self._threads.map(chunk, starts))
+        if not parts:
+            empty = np.zeros(0, np.int64)
+            return Hits(empty, empty, np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
+        fields = ("ray", "face", "bary", "distance")
+        return Hits(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
+
+    def _cast(self, origins: np.ndarray, directions: np.ndarray) -> dict[str, np.ndarray]:
+        found: dict[str, np.ndarray] = self._scene.run(origins, directions, query="INTERSECT", output=True)
+        return found

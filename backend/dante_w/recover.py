@@ -1,0 +1,226 @@
+"""From a scene to a texture: the commands `recover` and `average`, stage by stage."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from dante_w import __version__
+from dante_w.average import PhotoAverage
+from dante_w.bake import bake
+from dante_w.color import linear_from_srgb_array
+from dante_w.coverage import Coverage, empty_coverage, mark
+from dante_w.device import peak_memory, pick_device
+from dante_w.doctor import library_versions
+from dante_w.fields import Model, ModelSpec
+from dante_w.gauge import albedo_gain, start_exposures
+from dante_w.held_out import choose_held_out, held_out_psnr
+from dante_w.images import write_exr, write_png
+from dante_w.job import REPORT
+from dante_w.load import load_scene
+from dante_w.mesh import Mesh, write_obj
+from dante_w.optimise import LossTerms, Schedule, fit, photo_ranges
+from dante_w.presets import PRESETS, equal_bands
+from dante_w.progress import Progress
+from dante_w.ray_cache import RayCache, trace
+from dante_w.scene_folder import Scene
+from dante_w.unwrap import unwrap
+from dante_w.uvmap import check_uvs
+
+#: Texels beyond each chart that are painted, so that mipmaps and bilinear lookups do not bleed.
+GUTTER = 16
+#: Texels evaluated at once, and what a run on two cores manages in a second: first guesses for the time left.
+RAYS_PER_SECOND, SAMPLES_PER_SECOND, TEXELS_PER_SECOND = 2e6, 2e5, 2e6
+_TEXEL_TYPES = {"png": np.uint8, "png16": np.uint16, "exr": np.float16}
+
+Texels = Callable[[np.ndarray], np.ndarray]
+
+
+def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+    """Recover the albedo texture into `staging`; returns the report. `options` are the command's.
+
+    Raises:
+        BadInput: the scene cannot be used; see `load.load_scene`, `uvmap.check_uvs` and `ray_cache.trace`.
+    """
+    device = pick_device(options.device)
+    preset = PRESETS[options.preset]
+    spec = equal_bands(preset.model) if options.equal_bands else preset.model
+    size = options.texture_size or preset.texture_size
+    scene, mesh = _prepare(options, options.priors, size, staging, progress)
+    held_out = choose_held_out(len(scene.frames))
+    _expect(progress, scene, size, preset.schedule, preset.final_pass if len(held_out) else None)
+    coverage = empty_coverage(size, size)
+
+    def visit(uv: np.ndarray, footprint: np.ndarray, _: np.ndarray) -> None:
+        mark(coverage, uv, footprint * size)
+
+    cache = _trace(scene, mesh, visit, staging, progress)
+    terms = LossTerms(not options.no_photometric, options.prior_weight)
+    everything = photo_ranges(cache, np.arange(len(scene.frames)))
+    model, score = _fit(cache, spec, terms, options, device, held_out, progress)
+    use_prior = cache.prior is not None and options.prior_weight > 0.0
+    gain = torch.ones(3) if use_prior else albedo_gain(model, cache, everything, options.seed).cpu()
+
+    @torch.no_grad()
+    def texels(uv: np.ndarray) -> np.ndarray:
+        albedo = model.albedo(torch.from_numpy(uv).float().to(device)).cpu()
+        return (albedo * gain).clamp(0.0, 1.0).numpy()
+
+    seen = _bake(texels, mesh, coverage, options.format, staging, progress)
+    return _report(
+        options,
+        staging,
+        progress,
+        device=str(device),
+        preset={**dataclasses.asdict(preset), "model": dataclasses.asdict(spec)},
+        photos=len(scene.frames),
+        samples=len(cache),
+        priors=sum(frame.albedo is not None for frame in scene.frames),
+        held_out_photos=[scene.frames[i].image.name for i in held_out],
+        held_out_psnr=score,
+        albedo_gain=[round(float(g), 4) for g in gain],
+        coverage=seen,
+        texture_size=size,
+    )
+
+
+def average(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+    """Average the photos on the texture, light and all: the baseline. Same files and errors as `recover`."""
+    size = options.texture_size or PRESETS["standard"].texture_size
+    scene, mesh = _prepare(options, None, size, staging, progress)
+    _expect(progress, scene, size)
+    coverage, mean = empty_coverage(size, size), PhotoAverage(size, size)
+
+    def visit(uv: np.ndarray, footprint: np.ndarray, srgb: np.ndarray) -> None:
+        mark(coverage, uv, footprint * size)
+        mean.add(uv, linear_from_srgb_array(srgb), 1.0, footprint * size)
+
+    cache = _trace(scene, mesh, visit, staging, progress)
+    texture = mean.resolve()
+
+    def texels(uv: np.ndarray) -> np.ndarray:
+        column = (uv[:, 0] * size).astype(np.int64).clip(0, size - 1)
+        row = ((1.0 - uv[:, 1]) * size).astype(np.int64).clip(0, size - 1)
+        return texture[row, column]
+
+    seen = _bake(texels, mesh, coverage, options.format, staging, progress)
+    facts = {"photos": len(scene.frames), "samples": len(cache), "coverage": seen, "texture_size": size}
+    return _report(options, staging, progress, **facts)
+
+
+def _prepare(
+    options: argparse.Namespace, priors: Path | None, size: int, staging: Path, progress: Progress
+) -> tuple[Scene, Mesh]:
+    scene, mesh = load_scene(options.scene, options.mesh, options.images, priors)
+    progress.update("scene", 1, 1)
+    if options.unwrap:
+        mesh = unwrap(mesh, lambda done: progress.update("unwrap", done, 1.0), size)
+        write_obj(staging / "mesh.obj", mesh)
+    check_uvs(mesh.uvs, options.mesh or scene.mesh or scene.source)
+    return scene, mesh
+
+
+def _expect(
+    progress: Progress,
+    scene: Scene,
+    size: int,
+    schedule: Schedule | None = None,
+    final_pass: Schedule | None = None,
+) -> None:
+    """First guesses of the seconds each stage takes; the stages correct them as they run."""
+    pixels = sum(frame.camera.width * frame.camera.height for frame in scene.frames)
+    passes = {"optimise": schedule, "final pass": final_pass}
+    seconds = {name: p.steps * p.batch / SAMPLES_PER_SECOND for name, p in passes.items() if p}
+    progress.expect({"rays": pixels / RAYS_PER_SECOND, **seconds, "bake": size**2 / TEXELS_PER_SECOND})
+
+
+def _trace(
+    scene: Scene,
+    mesh: Mesh,
+    visit: Callable[[np.ndarray, np.ndarray, np.ndarray], None],
+    staging: Path,
+    progress: Progress,
+) -> RayCache:
+    spill = staging / "rays"
+    spill.mkdir()
+    return trace(mesh, scene.frames, visit, lambda done: progress.update("rays", done, 1.0), spill)
+
+
+def _fit(
+    cache: RayCache,
+    spec: ModelSpec,
+    terms: LossTerms,
+    options: argparse.Namespace,
+    device: torch.device,
+    held_out: np.ndarray,
+    progress: Progress,
+) -> tuple[Model, float | None]:
+    """Fit without the held-out photos, score on them, then fit on with all photos; returns model and PSNR."""
+    photos = np.arange(len(cache.starts) - 1)
+    preset, seed = PRESETS[options.preset], options.seed
+
+    def report(stage: str) -> Callable[[int, int, float], None]:
+        return lambda step, steps, loss: progress.update(stage, step, steps, loss)
+
+    torch.manual_seed(seed)
+    model = Model(spec, len(photos))
+    start_exposures(model, cache)
+    model.to(device)
+    training = photo_ranges(cache, np.setdiff1d(photos, held_out))
+    if len(training) == 0:
+        held_out, training = held_out[:0], photo_ranges(cache, photos)
+    fit(model, cache, training, terms, preset.schedule, seed, report("optimise"))
+    if len(held_out) == 0:
+        return model, None
+    score = held_out_psnr(model, cache, held_out, seed, report("held-out")) if terms.photometric else None
+    if not options.keep_held_out:
+        everything = photo_ranges(cache, photos)
+        fit(model, cache, everything, terms, preset.final_pass, seed + 1, report("final pass"))
+    return model, score
+
+
+def _bake(
+    texels: Texels, mesh: Mesh, coverage: Coverage, kind: str, staging: Path, progress: Progress
+) -> float:
+    """Write the albedo and coverage images; returns the fraction of the texels on the mesh that were seen."""
+    assert mesh.uvs is not None
+    shape = (coverage.height, coverage.width)
+    files = {"albedo.raw": (*shape, 3), "coverage.raw": shape}
+    kinds = {"albedo.raw": _TEXEL_TYPES[kind], "coverage.raw": np.uint8}
+    out, marks = (np.memmap(staging / name, kinds[name], "w+", shape=files[name]) for name in files)
+    seen = bake(
+        texels, mesh.uvs, coverage, GUTTER, out, marks, lambda done: progress.update("bake", done, 1.0)
+    )
+    progress.update("write", 0, 1)
+    if kind == "exr":
+        write_exr(staging / "albedo.exr", out)
+    else:
+        write_png(staging / "albedo.png", out)
+    write_png(staging / "coverage.png", marks)
+    del out, marks
+    for name in files:
+        (staging / name).unlink()
+    progress.update("write", 1, 1)
+    return seen
+
+
+def _report(options: argparse.Namespace, staging: Path, progress: Progress, **facts: Any) -> dict[str, Any]:
+    """Write report.json; returns its content."""
+    progress.close()
+    report = {
+        "dante_w": __version__,
+        "settings": {name: str(v) if isinstance(v, Path) else v for name, v in vars(options).items()},
+        **facts,
+        "seconds": progress.seconds,
+        "peak_memory_bytes": peak_memory(),
+        "versions": library_versions(),
+    }
+    (staging / REPORT).write_text(json.dumps(report, indent=1), encoding="utf-8")
+    return report
