@@ -46,14 +46,12 @@ def numbers(lines: list[bytes], columns: int, what: str) -> np.ndarray:
     (weights, colours); a vt line of one number has v = 0."""
     if not lines:
         return np.empty((0, columns))
-    rows = [line.split()[1 : columns + 1] for line in lines]
+    rows = [b" ".join(line.split(None, columns + 1)[1 : columns + 1]) for line in lines]
     if columns == 2:
-        rows = [row if len(row) != 1 else [*row, b"0"] for row in rows]
-    if min(map(len, rows)) < columns:
-        raise BadInput(f"some {what} have fewer than {columns} numbers; export the mesh again.")
-    message = f"some {what} are not numbers"
-    values = scan(b" ".join([b" ".join(row) for row in rows]), np.float64, message)
-    if len(values) != columns * len(rows):  # 1-2 reads as two
+        rows = [row if b" " in row else row + b" 0" for row in rows]
+    message = f"some {what} are not {columns} numbers"
+    values = scan(b" ".join(rows), np.float64, message)
+    if len(values) != columns * len(rows):
         raise BadInput(f"{message}; export the mesh again.")
     return values.reshape(-1, columns)
 
@@ -72,11 +70,10 @@ def _corners(polygons: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
     """Corners per polygon (P,), and per corner its vertex and UV as written, 0 for no UV, int64 (C, 2)."""
     if any(b"#" in line for line in polygons):
         polygons = [line.partition(b"#")[0] for line in polygons]
-    words = [line.split() for line in polygons]
-    sizes = np.array([len(row) - 1 for row in words], np.int64)
+    sizes = np.array([len(line.split()) - 1 for line in polygons], np.int64)
     if sizes.min() < 3:
         raise BadInput("a face has fewer than 3 corners; export the mesh again.")
-    corners = [word for row in words for word in row[1:]]
+    corners = b" ".join([line[2:] for line in polygons]).split()  # lists of lists would wake the collector
     slashes = {word.count(b"/") for word in corners}
     if len(slashes) > 1 or max(slashes) > 2:
         corners = [b"/".join([*word.split(b"/"), b"0", b"0"][:3]) for word in corners]
