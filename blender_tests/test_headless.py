@@ -109,4 +109,4 @@ def test_batch_runs_by_itself(blend, tmp_path):
         "/none",
     ]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and "/none" in done.stderr, done.stderr
+    assert done.returncode == 2 and "/none" in done.stderr, done.stderr

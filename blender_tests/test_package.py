@@ -115,4 +115,4 @@ def test_installed_it_runs(package, scene, tmp_path):
         "--json",
     ]
     done = subprocess.run(words, capture_output=True, text=True, env=env, cwd=tmp_path, check=False)
-    assert done.returncode == 1 and "/none" in json.loads(done.stdout.splitlines()[-1])["message"]
+    assert done.returncode == 2 and "/none" in json.loads(done.stdout.splitlines()[-1])["message"]

@@ -98,7 +98,11 @@ def _run(options: argparse.Namespace) -> int:
         priors=str(Path(options.priors).resolve()) if options.priors else "",
         unwrap_mesh=options.unwrap,
     )
-    progress = _follow(Process(command), options.json)
+    try:
+        process = Process(command)
+    except OSError as error:
+        raise scene_folder.BadInput(f"{python} cannot be started: {error.strerror}.") from error
+    progress = _follow(process, options.json)
     if progress.state != "done":
         return _fail(options, progress.code, progress.message)
     textured = result.take_in(obj, out, options.pack)

@@ -26,7 +26,6 @@ class Recovery:
     out: Path
     pack: bool
     progress: Progress = field(default_factory=Progress)
-    losses: list[float] = field(default_factory=list)
     started: float = field(default_factory=time.monotonic)
 
     def find_object(self) -> bpy.types.Object | None:
@@ -38,9 +37,7 @@ class Recovery:
 
     def look(self) -> bool:
         """Take in what the backend said; put its result on the object at the end. Returns: still running."""
-        for message in self.progress.follow(self.process):
-            if message.get("loss") is not None:
-                self.losses.append(float(message["loss"]))
+        self.progress.follow(self.process)
         if self.progress.state == "done":
             self._finish()
         return self.progress.state == "running"

@@ -54,10 +54,15 @@ class DANTEW_PT_recover(_Panel, bpy.types.Panel):
         column.prop(settings, "preset")
         column.prop(settings, "texture_size")
         column.prop(settings, "device")
-        column.prop(settings, "file_format")
-        column.prop(settings, "storage")
-        column.prop(settings, "output_folder")
-        column.prop(settings, "unwrap")
+        header, body = layout.panel("DANTEW_options", default_closed=True)
+        header.label(text="Options")
+        if body is not None:
+            column = _properties(body)
+            column.enabled = not job.recovering()
+            column.prop(settings, "file_format")
+            column.prop(settings, "storage")
+            column.prop(settings, "output_folder", placeholder="Beside the .blend")
+            column.prop(settings, "unwrap")
         if job.recovering():
             _draw_progress(context, layout, job.recovery)
             return

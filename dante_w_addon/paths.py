@@ -54,11 +54,13 @@ def user_folder() -> Path | None:
 
 
 def run_folder(setting: str, object_name: str) -> Path:
-    """Folder of one object's scene and result: beside the .blend, or temporary while it is unsaved."""
-    if setting.startswith("//") and not bpy.data.filepath:
-        base = Path(bpy.app.tempdir) / "dante_w"
+    """Folder of one object's scene and result: beside the .blend by default, temporary while it is unsaved."""
+    if bpy.data.filepath:
+        base = Path(bpy.path.abspath(setting or "//dante_w"))
+    elif setting and not setting.startswith("//"):
+        base = Path(setting)
     else:
-        base = Path(bpy.path.abspath(setting))
+        base = Path(bpy.app.tempdir) / "dante_w"
     return base / file_name(object_name)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import queue
 import signal
@@ -157,14 +158,19 @@ def _parse(line: str) -> dict[str, Any] | None:
     return message if isinstance(message, dict) and "stage" in message else None
 
 
+def _number(value: Any) -> float | None:
+    """A finite number, or None."""
+    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
+
+
 @dataclass
 class Progress:
     """How far the backend is, from its messages and its end."""
 
     state: str = "running"  # running, done, failed, cancelled
     stage: str = "scene"
-    step: int = 0
-    total: int = 0
+    step: float = 0.0
+    total: float = 0.0
     loss: float | None = None
     seconds_left: float | None = None
     out: str = ""
@@ -202,10 +208,10 @@ class Progress:
             self.code, self.message = int(message.get("code", 1)), str(message.get("message", ""))
         else:
             self.stage = str(message["stage"])
-            self.step, self.total = int(message.get("step") or 0), int(message.get("total") or 0)
-            self.seconds_left = message.get("seconds_left")
-            if message.get("loss") is not None:
-                self.loss = float(message["loss"])
+            self.step, self.total = _number(message.get("step")) or 0.0, _number(message.get("total")) or 0.0
+            self.seconds_left = _number(message.get("seconds_left"))
+            loss = _number(message.get("loss"))
+            self.loss = self.loss if loss is None else loss
 
     def _end(self, code: int, process: Process) -> None:
         if process.cancelled or code == CANCELLED:

@@ -59,9 +59,8 @@ class DANTEW_PG_settings(bpy.types.PropertyGroup):
     )
     output_folder: StringProperty(
         name="Output",
-        description="Where scene and result folders go; beside the .blend by default",
+        description="Where scene and result folders go; a folder beside the .blend if empty",
         subtype="DIR_PATH",
-        default="//dante_w",
     )
     storage: EnumProperty(name="Images", description="Where the result's images live", items=STORAGE)
     hdri: EnumProperty(name="HDRI", description="Light to preview under", items=hdris.enum_items())
