@@ -256,7 +256,7 @@ def story(options: argparse.Namespace):
     assert job.recovery.progress.state == "done", job.recovery.progress.message
     assert material.shown(obj) == "ALBEDO"
     space.shading.type = "MATERIAL"
-    yield 3.0  # shaders compile
+    yield 15.0  # shaders compile
     yield from driver.rest()
     yield from driver.shot("panel-result")
     space.shading.type = "SOLID"  # quicker to redraw without a GPU

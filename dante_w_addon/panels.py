@@ -121,17 +121,11 @@ class DANTEW_PT_relight(_Panel, bpy.types.Panel):
             row.operator("dantew.relight", text="Contact Sheet", icon="MESH_GRID").every = True
             if relight_operators.last_message:
                 _sentence(context, layout, relight_operators.last_message, "INFO")
-        for name, title in (
-            (relight_operators.PREVIEW, "preview"),
-            (relight_operators.SHEET, "contact sheet"),
-        ):
-            image = bpy.data.images.get(name)
-            if image is None or image.preview is None:
-                continue
-            layout.template_icon(
-                icon_value=image.preview.icon_id, scale=min(context.region.width / 24.0, 14.0)
-            )
-            layout.operator("dantew.open_image", text=f"Open {title}", icon="IMAGE_DATA").name = name
+        image = relight_operators.latest_image()
+        if image is not None and image.preview is not None:
+            layout.operator("dantew.open_image", text="Open Picture", icon="IMAGE_DATA").name = image.name
+            units = context.region.width / (24.0 * context.preferences.system.ui_scale)
+            layout.template_icon(icon_value=image.preview.icon_id, scale=min(units, 14.0))
 
 
 def facts(report: dict) -> list[tuple[str, str]]:
@@ -141,6 +135,10 @@ def facts(report: dict) -> list[tuple[str, str]]:
         lines.append(("Held-out photos", f"{report['held_out_psnr']:.1f} dB"))
     if isinstance(report.get("coverage"), (int, float)):
         lines.append(("Seen by a photo", f"{report['coverage']:.1%}"))
+    if isinstance(report.get("texture_size"), int):
+        lines.append(("Texture", f"{report['texture_size']} x {report['texture_size']}"))
+    if isinstance(report.get("seconds"), dict):
+        lines.append(("Took", duration(sum(report["seconds"].values()))))
     return lines
 
 

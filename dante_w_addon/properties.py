@@ -21,7 +21,7 @@ PRESETS = (
     ("paper", "Paper", "The settings of the DANTE-W paper: needs albedo priors, slow without a GPU"),
 )
 SIZES = [
-    ("AUTO", "Preset's", "What the preset uses"),
+    ("AUTO", "From Preset", "As large as the preset says"),
     *((str(n), str(n), "") for n in (1024, 2048, 4096, 8192, 16384)),
 ]
 DEVICES = (

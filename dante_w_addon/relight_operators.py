@@ -68,6 +68,7 @@ class Relighting:
 
 active: Relighting | None = None
 last_message = ""
+_latest = ""
 
 
 def tick() -> float | None:
@@ -88,6 +89,8 @@ def tick() -> float | None:
 
 def keep(name: str, pixels: np.ndarray) -> bpy.types.Image:
     """Put a picture into the file, with a thumbnail for the panel."""
+    global _latest
+    _latest = name
     image = relight.keep_picture(name, pixels)
     step = -(-max(pixels.shape[:2]) // THUMBNAIL)
     small = np.ascontiguousarray(pixels[::step, ::step])
@@ -95,6 +98,12 @@ def keep(name: str, pixels: np.ndarray) -> bpy.types.Image:
     preview.image_size = small.shape[1], small.shape[0]
     preview.image_pixels_float.foreach_set(small.ravel())
     return image
+
+
+def latest_image() -> bpy.types.Image | None:
+    """The newest picture, or one that was saved with the file."""
+    names = (_latest, PREVIEW, SHEET)
+    return next((bpy.data.images[name] for name in names if name in bpy.data.images), None)
 
 
 class DANTEW_OT_relight(bpy.types.Operator):
