@@ -221,6 +221,7 @@ def story(options: argparse.Namespace):
     else:
         small_scene.build(options.shots / "photos")
     obj = next(obj for obj in bpy.context.scene.objects if obj.type == "MESH")
+    name = obj.name
     obj.select_set(True)
     bpy.context.view_layer.objects.active = obj
     settings = bpy.context.scene.dante_w
@@ -259,6 +260,15 @@ def story(options: argparse.Namespace):
     yield 15.0  # shaders compile
     yield from driver.rest()
     yield from driver.shot("panel-result")
+    for step, expected in ((bpy.ops.ed.undo, False), (bpy.ops.ed.redo, True)):
+        with bpy.context.temp_override(window=driver.window):
+            step()
+        yield 0.5
+        obj = bpy.data.objects[name]  # undo makes former references invalid
+        assert (material.shown(obj) == "ALBEDO") == expected, (
+            "one undo takes the albedo back, redo restores it"
+        )
+    space = driver.view.spaces.active
     space.shading.type = "SOLID"  # quicker to redraw without a GPU
     space.shading.color_type = "TEXTURE"
     yield from driver.press("show", which="ORIGINAL")

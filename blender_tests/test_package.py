@@ -75,6 +75,13 @@ from bl_ext.user_default.dante_w import preferences, paths, result
 from pathlib import Path
 assert paths.backend_folder().parent == paths.HERE, paths.backend_folder()
 assert preferences.made_environment().is_relative_to(Path(bpy.utils.resource_path("USER")))
+venv = preferences.made_environment()
+python = preferences.environment.python_in(venv)
+python.parent.mkdir(parents=True)
+python.write_text("")
+assert preferences.backend_python() is None, "half an environment is none"
+(venv / preferences.READY).write_text("")
+assert preferences.backend_python() == str(python)
 preferences_of = bpy.context.preferences.addons["bl_ext.user_default.dante_w"].preferences
 preferences_of.python = sys.executable
 assert preferences.backend_python() == sys.executable

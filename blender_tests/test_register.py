@@ -3,6 +3,7 @@
 import bpy
 
 import dante_w_addon
+from dante_w_addon import survey
 
 
 def ours():
@@ -43,3 +44,31 @@ def test_recover_is_off_without_photos(addon, standin, scene):
     for camera in bpy.data.cameras:
         camera.background_images.clear()
     assert not bpy.ops.dantew.recover.poll()
+
+
+def test_survey_finds_what_is_wrong(addon, standin, scene):
+    cube = bpy.data.objects["Cube"]
+
+    def problems():
+        survey._last = None
+        return survey.take(scene, cube).problems
+
+    assert problems() == ()
+    scene.dante_w.prior_folder = "/no/such/folder"
+    assert "priors" in problems()[0]
+    scene.dante_w.prior_folder = ""
+    cube.data.uv_layers.remove(cube.data.uv_layers[0])
+    assert "no UV map" in problems()[0]
+    scene.dante_w.unwrap = True
+    assert problems() == ()
+
+
+def test_render_of_another_shape_is_noticed_and_matched(addon, scene):
+    cube = bpy.data.objects["Cube"]
+    scene.render.resolution_x, scene.render.resolution_y = 128, 96  # the photos are 64 x 48
+    assert not survey.take(scene, cube).overlay_off
+    scene.render.resolution_x = 96
+    assert survey.take(scene, cube).overlay_off
+    bpy.ops.dantew.match_render()
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (64, 48)
+    assert not survey.take(scene, cube).overlay_off

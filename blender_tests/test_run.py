@@ -1,10 +1,13 @@
 """A recovery from button to material, with the stand-in backend."""
 
 import os
+import subprocess
+import sys
 import time
 
 import bpy
 import pytest
+from conftest import HERE, ROOT
 
 from dante_w_addon import job, material
 
@@ -172,3 +175,30 @@ def test_unsaved_file_packs_the_images(addon, standin, tmp_path):
     bpy.ops.dantew.recover()
     assert finish().state == "done"
     assert cube.active_material.node_tree.nodes.active.image.packed_file
+
+
+QUIT = """
+import sys
+sys.path[:0] = [{root!r}, {here!r}]
+import bpy, dante_w_addon
+from dante_w_addon import job, result
+from pathlib import Path
+result.launcher = lambda: Path({here!r}) / "standin" / "launch.py"
+bpy.ops.wm.open_mainfile(filepath={blend!r})
+dante_w_addon.register()
+bpy.ops.dantew.recover()
+print(job.recovery.process.pid, flush=True)
+{end}
+"""
+
+
+@pytest.mark.parametrize("end", ["", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"])
+def test_quitting_or_killing_blender_leaves_no_backend(standin, scene, end):
+    standin("slow")
+    code = QUIT.format(root=str(ROOT), here=str(HERE), blend=bpy.data.filepath, end=end)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    pid = int(next(line for line in done.stdout.splitlines() if line.isdigit()))
+    until = time.monotonic() + 3.0  # a killed Blender cannot stop it; its next line finds nobody listening
+    while alive(pid):
+        assert time.monotonic() < until
+        time.sleep(0.02)

@@ -54,7 +54,12 @@ def import_folder(context: bpy.types.Context, path: Path) -> Imported:
     context.scene.camera = result.cameras[0]
     if read.mesh is not None:
         result.mesh = _mesh(context, read.mesh, result)
+        if result.mesh is not None:
+            result.mesh.name = read.source.parent.name
     centres = np.array([frame.camera_to_world[:3, 3] for frame in read.frames])
+    spread = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
+    for camera in result.cameras:  # drawn large enough to pick, small enough to see the mesh
+        camera.data.display_size = 0.05 * spread or 1.0
     if np.abs(centres).max() > FAR * max(np.ptp(centres, axis=0).max(), 1e-30):
         result.warnings.append(
             "The scene lies far from the origin, where Blender is not exact; recover the folder itself with "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import atexit
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -61,6 +61,7 @@ class Task:
 
     title: str
     commands: list[list[str]]
+    then: Callable[[], None] = lambda: None
     process: Process | None = None
     state: str = "running"  # running, done, failed
     lines: list[str] = field(default_factory=list)
@@ -78,6 +79,7 @@ class Task:
                 return False
         if not self.commands:
             self.state = "done"
+            self.then()
             return False
         try:
             self.process = Process(self.commands.pop(0))
@@ -108,10 +110,10 @@ def start_recovery(command: Sequence[str], obj: bpy.types.Object, out: Path, pac
     _watch()
 
 
-def start_task(title: str, commands: list[list[str]]) -> None:
-    """Start a set-up task."""
+def start_task(title: str, commands: list[list[str]], then: Callable[[], None] = lambda: None) -> None:
+    """Start a set-up task; `then` is called when all its commands ended well."""
     global task
-    task = Task(title, commands)
+    task = Task(title, commands, then)
     _watch()
 
 

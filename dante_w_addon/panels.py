@@ -25,7 +25,7 @@ class DANTEW_PT_source(_Panel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, properties.of(context.scene)
         obj = survey.active_mesh(context)
-        found = survey.take(context.scene, obj, settings.unwrap)
+        found = survey.take(context.scene, obj)
         column = layout.column(align=True)
         if obj is None:
             column.label(text="Select the mesh to texture", icon="OUTLINER_OB_MESH")
@@ -36,6 +36,9 @@ class DANTEW_PT_source(_Panel, bpy.types.Panel):
             _sentence(context, layout, problem, "ERROR")
         if len(found.problems) > MAX_PROBLEMS:
             layout.label(text=f"... and {len(found.problems) - MAX_PROBLEMS} more")
+        if found.overlay_off:
+            _sentence(context, layout, "The render has another shape than the camera's photo.", "INFO")
+            layout.operator("dantew.match_render", icon="CAMERA_DATA")
         layout.operator("dantew.import_scene", icon="IMPORT")
         column = _properties(layout)
         column.prop(settings, "prior_folder", placeholder="Optional")

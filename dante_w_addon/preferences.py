@@ -13,6 +13,8 @@ from .paths import HERE, backend_folder, launcher, user_folder
 
 #: Environment variable that names the backend's Python, for developers and render farms.
 VARIABLE = "DANTEW_BACKEND_PYTHON"
+#: File that says an environment was made to the end: half of one is none.
+READY = "dante_w_ready.txt"
 
 
 def made_environment() -> Path | None:
@@ -25,9 +27,11 @@ def backend_python() -> str | None:
     """The interpreter to use: typed, named by the environment, made by the button, or the checkout's."""
     addon = bpy.context.preferences.addons.get(__package__)
     typed = addon.preferences.python if addon is not None and addon.preferences else ""
-    folders = [made_environment(), None if user_folder() else HERE.parent / ".venv"]
-    made = [str(environment.python_in(folder)) for folder in folders if folder is not None]
-    choices = [bpy.path.abspath(typed), os.environ.get(VARIABLE, ""), *made]
+    made = made_environment()
+    ready = made is not None and (made / READY).is_file()
+    folders = [made if ready else None, None if user_folder() else HERE.parent / ".venv"]
+    pythons = [str(environment.python_in(folder)) for folder in folders if folder is not None]
+    choices = [bpy.path.abspath(typed), os.environ.get(VARIABLE, ""), *pythons]
     return next((choice for choice in choices if choice and Path(choice).is_file()), None)
 
 
@@ -78,8 +82,12 @@ class DANTEW_OT_make_environment(bpy.types.Operator):
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        made = str(environment.python_in(made_environment()))
-        job.start_task("Setting up the backend", [*commands, _doctor(made)])
+        venv = made_environment()
+        job.start_task(
+            "Setting up the backend",
+            [*commands, _doctor(str(environment.python_in(venv)))],
+            lambda: (venv / READY).write_text("The backend runs in this environment.\n", encoding="utf-8"),
+        )
         return {"FINISHED"}
 
 

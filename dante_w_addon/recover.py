@@ -77,7 +77,7 @@ class DANTEW_OT_recover(bpy.types.Operator):
         elif preferences.backend_python() is None:
             cls.poll_message_set("Set the backend up first")
         else:
-            problems = survey.take(context.scene, obj, properties.of(context.scene).unwrap).problems
+            problems = survey.take(context.scene, obj).problems
             if not problems:
                 return True
             cls.poll_message_set(problems[0])

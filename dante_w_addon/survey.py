@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import os
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import bpy
 
-from . import mesh, photos
+from . import mesh, photos, properties
 
 MAX_AGE = 2.0  # seconds: whether thousands of files exist is not asked at every redraw
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What was found, and what stands in the way of recovery, a sentence each."""
+    """What was found, and what stands in the way of recovery, a sentence each.
+
+    `overlay_off`: the photo behind the scene's camera has another shape than the render, so the viewport
+    does not show it where recovery takes it to be.
+    """
 
     cameras: int
     photos: int
     problems: tuple[str, ...]
+    overlay_off: bool = False
 
 
 _last: tuple[float, tuple, Survey] | None = None
@@ -30,22 +37,41 @@ def active_mesh(context: bpy.types.Context) -> bpy.types.Object | None:
     return obj if obj is not None and obj.type == "MESH" else None
 
 
-def take(scene: bpy.types.Scene, obj: bpy.types.Object | None, unwrap: bool) -> Survey:
+def take(scene: bpy.types.Scene, obj: bpy.types.Object | None) -> Survey:
     """Survey `scene`; the answer may be MAX_AGE old while the counts stay."""
     global _last
+    settings, render = properties.of(scene), scene.render
     found = photos.found(scene)
-    key = (scene.name_full, obj.name_full if obj else "", unwrap, len(found), len(scene.objects))
+    key = (
+        *(scene.name_full, obj.name_full if obj else "", len(found), len(scene.objects)),
+        *(settings.unwrap, settings.prior_folder, scene.camera, render.resolution_x, render.resolution_y),
+    )
     if _last is not None and _last[1] == key and time.monotonic() - _last[0] < MAX_AGE:
         return _last[2]
     cameras = sum(other.type == "CAMERA" for other in scene.objects)
-    result = Survey(cameras, len(found), tuple(_problems(found, obj, unwrap)))
+    problems = tuple(_problems(found, obj, settings))
+    result = Survey(cameras, len(found), problems, _overlay_off(scene, found))
     _last = (time.monotonic(), key, result)
     return result
 
 
-def _problems(found: list[photos.Photo], obj: bpy.types.Object | None, unwrap: bool):
-    if obj is not None and not unwrap and mesh.render_uv_map(obj.data) is None and not obj.modifiers:
-        yield f"{obj.name} has no UV map; unwrap it, or turn on Make New UVs."
+def _problems(
+    found: list[photos.Photo], obj: bpy.types.Object | None, settings: properties.DANTEW_PG_settings
+) -> Iterator[str]:
+    if obj is not None and not settings.unwrap and mesh.render_uv_map(obj.data) is None and not obj.modifiers:
+        yield f"{obj.name} has no UV map; unwrap it, or turn on Options > Make New UVs."
     if not found:
         yield "No camera has a background image; add photos, or import a scene folder."
+    if settings.prior_folder and not os.path.isdir(bpy.path.abspath(settings.prior_folder)):
+        yield "The folder of priors does not exist; choose another, or clear it."
     yield from filter(None, map(photos.problem, found))
+
+
+def _overlay_off(scene: bpy.types.Scene, found: list[photos.Photo]) -> bool:
+    photo = next((photo for photo in found if photo.camera == scene.camera), None)
+    path = photos.path_of(photo.image) if photo else None
+    size = photos.header_size(path) if path else None
+    if size is None:
+        return False
+    wide, high = size[0] * scene.render.resolution_y, size[1] * scene.render.resolution_x
+    return abs(wide - high) > 0.01 * max(wide, high)
