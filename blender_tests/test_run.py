@@ -60,6 +60,30 @@ def test_options_reach_the_backend(addon, standin, scene, tmp_path):
     assert f"--priors {tmp_path}" in said
 
 
+def test_files_of_a_former_run_are_not_taken(addon, standin, scene, tmp_path):
+    out = tmp_path / "dante_w" / "Cube" / "result"
+    out.mkdir(parents=True)
+    (out / "albedo.exr").write_text("old")
+    (out / "mesh.obj").write_text("old")
+    bpy.ops.dantew.recover()
+    assert finish().state == "done"
+    cube = bpy.data.objects["Cube"]
+    assert cube.active_material.node_tree.nodes.active.image.file_format == "PNG"
+    assert "DANTE-W" not in cube.data.uv_layers
+
+
+def test_new_uvs_that_do_not_fit_go_to_a_new_object(addon, standin, scene):
+    cube = bpy.data.objects["Cube"]
+    cube.modifiers.new("Finer", "SUBSURF").levels = 1
+    scene.dante_w.unwrap = True
+    bpy.ops.dantew.recover()
+    progress = finish()
+    made = bpy.context.view_layer.objects.active
+    assert made != cube and made.name in progress.message
+    assert material.shown(made) == "ALBEDO" and material.shown(cube) is None
+    assert made.visible_get() and not cube.visible_get()
+
+
 def test_switch_keeps_the_old_material(addon, standin, scene):
     cube = bpy.data.objects["Cube"]
     original = cube.active_material

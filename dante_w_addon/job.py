@@ -48,7 +48,10 @@ class Recovery:
             self.progress.message = f"{self.object_name} is gone; its texture is in {self.out}."
             return
         try:
-            take_in(obj, self.out, self.pack)
+            textured = take_in(obj, self.out, self.pack)
+            if textured != obj:
+                bpy.context.view_layer.objects.active = textured
+                self.progress.message = f"The new UVs do not fit {obj.name}; {textured.name} has them."
         except (OSError, RuntimeError, ValueError, IndexError) as error:
             self.progress.state, self.progress.message = "failed", f"The result cannot be read: {error}"
             return

@@ -22,18 +22,18 @@ def apply(obj: bpy.types.Object, result: Path, pack: bool) -> bpy.types.Material
     """Put the albedo in a result folder on `obj` and show it; the former materials are kept.
 
     Raises:
-        FileNotFoundError: the folder is not a whole result.
+        OSError, ValueError: the folder is not a whole result.
     """
-    report = (result / "report.json").read_text(encoding="utf-8")
-    exr = result / "albedo.exr"
-    albedo = load_image(exr if exr.is_file() else result / "albedo.png", f"{obj.name} albedo", pack)
+    report = read_report(result)
+    suffix = "exr" if report.get("settings", {}).get("format") == "exr" else "png"
+    albedo = load_image(result / f"albedo.{suffix}", f"{obj.name} albedo", pack)
     coverage = load_image(result / "coverage.png", f"{obj.name} coverage", pack, "Non-Color")
     layer = mesh.render_uv_map(obj.data)
     material = albedo_material(f"{obj.name} albedo", albedo, coverage, layer.name if layer else "")
     if shown(obj) != "ALBEDO":
         obj[ORIGINALS] = {str(i): slot.material for i, slot in enumerate(obj.material_slots) if slot.material}
     obj[ALBEDO] = material
-    obj[REPORT] = report
+    obj[REPORT] = json.dumps(report, indent=1)
     show(obj, "ALBEDO")
     return material
 
@@ -53,6 +53,11 @@ def show(obj: bpy.types.Object, which: str) -> None:
     originals = obj.get(ORIGINALS, {})
     for index, slot in enumerate(obj.material_slots):
         slot.material = obj[ALBEDO] if which == "ALBEDO" else originals.get(str(index))
+
+
+def read_report(result: Path) -> dict[str, Any]:
+    """The report in a result folder, which is written last: without it the folder is not whole."""
+    return dict(json.loads((result / "report.json").read_text(encoding="utf-8")))
 
 
 def report_of(obj: bpy.types.Object) -> dict[str, Any]:

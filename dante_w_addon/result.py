@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -48,9 +49,19 @@ def recover_command(
 
 
 def take_in(obj: bpy.types.Object, out: Path, pack: bool) -> bpy.types.Object:
-    """Put a result on `obj`; returns the textured object, a new one where new UVs do not fit `obj`."""
-    unwrapped = out / "mesh.obj"
-    if unwrapped.is_file():
-        obj = unwrap.bring_back(obj, unwrapped)
-    material.apply(obj, out, pack)
-    return obj
+    """Put a result on `obj`.
+
+    Returns:
+        The textured object: a new one, with `obj` hidden, where new UVs do not fit `obj`.
+
+    Raises:
+        OSError, ValueError: the folder is not a whole result.
+    """
+    settings = material.read_report(out).get("settings", {})  # files of a former run may lie beside
+    textured = unwrap.bring_back(obj, out / "mesh.obj") if settings.get("unwrap") else obj
+    material.apply(textured, out, pack)
+    if textured != obj:
+        obj.hide_render = True
+        with contextlib.suppress(RuntimeError):  # it is in no collection of this view layer
+            obj.hide_set(True)
+    return textured

@@ -44,7 +44,9 @@ def main():
     parser.add_argument("command")
     parser.add_argument("scene", type=Path)
     parser.add_argument("--out", type=Path)
-    options, rest = parser.parse_known_args()
+    parser.add_argument("--format")
+    parser.add_argument("--unwrap", action="store_true")
+    options, _ = parser.parse_known_args()
     mode = os.environ.get("STANDIN", "done")
     frames = json.loads((options.scene / "transforms.json").read_text())["frames"]
     say(stage="scene", step=len(frames), total=len(frames), loss=None, seconds_left=None)
@@ -67,12 +69,15 @@ def main():
         )
         time.sleep(0.1 if steps > 5 else 0.01)
     options.out.mkdir(parents=True, exist_ok=True)
+    if options.unwrap:  # the mesh as it is
+        (options.out / "mesh.obj").write_bytes((options.scene / "mesh.obj").read_bytes())
     png(options.out / "albedo.png", [bytes(COLOUR) * 8] * 8, 2)
     png(options.out / "coverage.png", [b"\xff" * 8] * 8, 0)
     report = {
         "held_out_psnr": 31.5,
         "coverage": 0.75,
-        "arguments": rest,
+        "arguments": sys.argv[1:],
+        "settings": {"format": "png", "unwrap": options.unwrap},
         "python_variables": sorted(name for name in os.environ if name.startswith("PYTHON")),
     }
     (options.out / "report.json").write_text(json.dumps(report))
