@@ -57,7 +57,7 @@ def run(command: str, options: argparse.Namespace) -> int:
         return _leave(_fail(options.json, CANCELLED, "Cancelled; the former result, if any, is untouched."))
     if "error" in outcome:
         _clear(options.out)
-        return _leave(_explain(options.json, outcome["error"]))
+        return _explain(options.json, outcome["error"])
     if options.json:
         progress.say({"stage": "done", "out": str(options.out.resolve()), "report": outcome["report"]})
     else:

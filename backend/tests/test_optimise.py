@@ -1,0 +1,113 @@
+import numpy as np
+import pytest
+import torch
+from dante_w.color import linear_from_srgb, srgb_from_linear
+from dante_w.fields import Model, ModelSpec
+from dante_w.hash_encoding import GridSpec
+from dante_w.held_out import _bands, choose_held_out
+from dante_w.optimise import FINAL_RATE, RUN, LossTerms, batches, cosine, model_loss
+from dante_w.presets import PRESETS, equal_bands
+from dante_w.ray_cache import Samples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+SPEC = ModelSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 8, 10), hidden=16, embedding=3)
+
+
+def some_samples(prior: bool, count: int = 64) -> Samples:
+    random = torch.Generator().manual_seed(1)
+
+    def uniform(width: int) -> torch.Tensor:
+        return torch.rand(count, width, generator=random)
+
+    photo = torch.randint(0, 3, (count,), generator=random)
+    return Samples(photo, uniform(2), uniform(3), uniform(3), uniform(3) if prior else None)
+
+
+def test_the_loss_is_equations_6_and_7():
+    torch.manual_seed(0)
+    model, samples = Model(SPEC, 3), some_samples(prior=True)
+    albedo = model.albedo(samples.uv)
+    colour = model.colour(albedo, samples.position, samples.photo)
+    photometric = (srgb_from_linear(colour) - samples.colour).abs().mean()
+    prior = (albedo - linear_from_srgb(samples.prior)).abs().mean()
+    torch.testing.assert_close(model_loss(model, samples, LossTerms(True, 0.3)), photometric + 0.3 * prior)
+    torch.testing.assert_close(model_loss(model, samples, LossTerms(False, 1.0)), prior)
+    torch.testing.assert_close(model_loss(model, samples, LossTerms(True, 0.0)), photometric)
+
+
+def test_photos_without_a_prior_add_nothing_to_the_prior_term():
+    model, samples = Model(SPEC, 3), some_samples(prior=True)
+    samples.prior[samples.photo == 1] = torch.nan
+    loss = model_loss(model, samples, LossTerms())
+    gradients = torch.autograd.grad(loss, list(model.parameters()))
+    assert torch.isfinite(loss) and all(torch.isfinite(g).all() for g in gradients)
+    kept = samples.photo != 1
+    albedo = model.albedo(samples.uv[kept])
+    expected = (albedo - linear_from_srgb(samples.prior[kept])).abs().sum() / samples.prior.numel()
+    torch.testing.assert_close(model_loss(model, samples, LossTerms(photometric=False)), expected)
+
+
+def test_the_loss_agrees_with_float64():
+    torch.manual_seed(0)
+    model, samples = Model(SPEC, 3), some_samples(prior=True)
+    single = model_loss(model, samples, LossTerms())
+    gradients = torch.autograd.grad(single, list(model.parameters()))
+    double_samples = Samples(
+        samples.photo, *(getattr(samples, n).double() for n in ("uv", "position", "colour", "prior"))
+    )
+    model.double()
+    double = model_loss(model, double_samples, LossTerms())
+    references = torch.autograd.grad(double, list(model.parameters()))
+    torch.testing.assert_close(single.double(), double, rtol=1e-5, atol=1e-7)
+    for gradient, reference in zip(gradients, references, strict=True):
+        assert (gradient.double() - reference).norm() <= 1e-3 * reference.norm() + 1e-9
+
+
+def test_without_the_photometric_term_light_is_left_alone():
+    model = Model(SPEC, 3)
+    loss = model_loss(model, some_samples(prior=True), LossTerms(photometric=False))
+    gradients = torch.autograd.grad(loss, list(model.irradiance.parameters()), allow_unused=True)
+    assert all(gradient is None for gradient in gradients)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(1, 300), min_size=1, max_size=6), st.integers(0, 5))
+def test_batches_draw_the_samples_of_the_ranges_equally_and_no_other(lengths, seed):
+    starts = np.cumsum([7, *(length + 3 for length in lengths[:-1])])
+    ranges = np.stack([starts, starts + lengths], axis=1)
+    allowed = np.concatenate([np.arange(a, b) for a, b in ranges])
+    draws = batches(ranges, 4096 * RUN, seed)
+    drawn = np.concatenate([next(draws) for _ in range(30)])
+    assert np.isin(drawn, allowed).all()
+    counts = np.bincount(drawn, minlength=ranges.max())[allowed]
+    # a run counts up to RUN times at once, so the spread is that of RUN times fewer draws
+    mean = len(drawn) / len(allowed)
+    assert abs(counts - mean).max() < 6 * np.sqrt(RUN * mean) + RUN
+
+
+def test_the_learning_rate_falls_along_a_cosine():
+    assert cosine(0, 100) == 1.0
+    assert cosine(50, 100) == pytest.approx((1 + FINAL_RATE) / 2)
+    assert cosine(100, 100) == pytest.approx(FINAL_RATE)
+
+
+@given(st.integers(1, 3000))
+def test_one_photo_in_eight_is_held_out(photos):
+    chosen = choose_held_out(photos)
+    assert len(chosen) == (0 if photos < 5 else max(photos // 8, 1))
+    assert len(np.unique(chosen)) == len(chosen)
+    assert len(chosen) == 0 or (chosen.min() >= 0 and chosen.max() < photos)
+
+
+@given(st.integers(1, 10_000))
+def test_the_halves_of_a_held_out_photo_do_not_overlap(length):
+    fitted, scored = _bands(np.array([[5, 5 + length]]))
+    parts = [np.arange(a, b) for a, b in np.concatenate([fitted, scored])]
+    np.testing.assert_array_equal(np.sort(np.concatenate(parts)), np.arange(5, 5 + length))
+
+
+def test_equal_bands_closes_the_frequency_gap():
+    for preset in PRESETS.values():
+        assert preset.model.irradiance.finest * 4 <= preset.model.albedo.finest
+        assert equal_bands(preset.model).irradiance.finest == preset.model.albedo.finest

@@ -1,0 +1,281 @@
+"""The command from end to end on a small scene: files, report, exit codes, cancelling."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SQUARE, albedo_at, make_scene, photograph
+from dante_w import presets
+from dante_w.cli import main
+from dante_w.color import srgb_from_linear_array
+from dante_w.fields import ModelSpec
+from dante_w.hash_encoding import GridSpec
+from dante_w.images import read_texture, write_exr, write_png
+from dante_w.optimise import Schedule
+from dante_w.scene_folder import read_scene
+
+SIZE = 64
+STAGES = ["scene", "unwrap", "rays", "optimise", "held-out", "final pass", "bake", "write"]
+
+
+@pytest.fixture(autouse=True)
+def small_preset(monkeypatch):
+    """`standard` at the size of the test scene."""
+    spec = ModelSpec(GridSpec(2, 6, 2, 4, 64, 12), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4)
+    small = presets.Preset(SIZE, spec, Schedule(300, 2048, 1e-2), Schedule(60, 2048, 2e-3))
+    monkeypatch.setitem(presets.PRESETS, "standard", small)
+
+
+def run(capsys, *arguments: str | Path) -> tuple[int, list[dict]]:
+    code = main([str(a) for a in arguments] + ["--json"])
+    return code, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def accuracy(folder: Path, name: str = "albedo.png", gain: bool = False) -> float:
+    """PSNR in dB of sRGB colours against the painted albedo, away from the rim; after one gain per channel."""
+    centres = (np.arange(SIZE) + 0.5) / SIZE
+    u, v = np.meshgrid(centres, 1.0 - centres)
+    truth = albedo_at(np.stack([u, v], axis=-1))[6:-6, 6:-6]
+    found = read_texture(folder / name)[6:-6, 6:-6]
+    if gain:
+        found = found * ((found * truth).sum((0, 1)) / (found**2).sum((0, 1)))
+    error = srgb_from_linear_array(found.clip(0, 1)) - srgb_from_linear_array(truth)
+    return float(-10.0 * np.log10((error**2).mean()))
+
+
+def test_recovers_the_painted_albedo_better_than_the_average(scene, tmp_path, capsys):
+    code, events = run(capsys, "recover", scene, "--out", tmp_path / "ours")
+    assert code == 0
+    assert run(capsys, "average", scene, "--out", tmp_path / "mean", "--texture-size", str(SIZE))[0] == 0
+    ours, mean = (accuracy(tmp_path / name, gain=True) for name in ("ours", "mean"))
+    assert ours > mean + 1.0
+    assert ours > 24.0
+
+    stages = list(dict.fromkeys(event["stage"] for event in events))
+    assert stages == [s for s in STAGES if s != "unwrap"] + ["done"]
+    for event in events[:-1]:
+        assert set(event) == {"stage", "step", "total", "loss", "seconds_left"}
+        assert 0 <= event["step"] <= event["total"]
+    report = json.loads((tmp_path / "ours/report.json").read_text())
+    assert report == events[-1]["report"]
+    assert report["texture_size"] == SIZE and report["photos"] == 8
+    assert report["held_out_psnr"] > 24.0
+    assert 0.9 < report["coverage"] <= 1.0
+    assert report["peak_memory_bytes"] > 1 << 26
+    assert set(report["seconds"]) == set(stages[:-1])
+    assert sorted(p.name for p in (tmp_path / "ours").iterdir()) == [
+        "albedo.png",
+        "coverage.png",
+        "report.json",
+    ]
+
+
+def test_same_seed_same_bytes(scene, tmp_path, capsys):
+    for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
+        assert run(capsys, "recover", scene, "--out", tmp_path / name, "--seed", seed)[0] == 0
+    first, again, other = ((tmp_path / n / "albedo.png").read_bytes() for n in "abc")
+    assert first == again != other
+
+
+def test_a_good_prior_decides_level_and_colour(scene, tmp_path, capsys):
+    priors = tmp_path / "priors"
+    priors.mkdir()
+    for index, frame in enumerate(read_scene(scene).frames):
+        unlit = photograph(frame.camera, frame.camera_to_world, gain=1.0, slope=0.0)
+        write_png(priors / f"{index}.png", unlit)
+    for name, extra in (("both", []), ("lifted", ["--no-photometric"]), ("ignored", ["--lambda", "0"])):
+        out = tmp_path / name
+        code, events = run(capsys, "recover", scene, "--out", out, "--priors", priors, *extra)
+        assert code == 0 and events[-1]["report"]["priors"] == 8
+    assert accuracy(tmp_path / "both") > 24.0
+    assert accuracy(tmp_path / "lifted") > 24.0
+    assert accuracy(tmp_path / "ignored") < accuracy(tmp_path / "both") - 3.0
+
+
+@pytest.mark.parametrize(("kind", "name"), [("png16", "albedo.png"), ("exr", "albedo.exr")])
+def test_other_formats_hold_the_same_texture(scene, tmp_path, capsys, kind, name):
+    assert run(capsys, "recover", scene, "--out", tmp_path / "png")[0] == 0
+    assert run(capsys, "recover", scene, "--out", tmp_path / kind, "--format", kind)[0] == 0
+    eight = read_texture(tmp_path / "png/albedo.png")
+    np.testing.assert_allclose(read_texture(tmp_path / kind / name), eight, atol=0.006)
+
+
+def test_keep_held_out_skips_the_final_pass(scene, tmp_path, capsys):
+    code, events = run(capsys, "recover", scene, "--out", tmp_path / "out", "--keep-held-out")
+    assert code == 0
+    assert "final pass" not in {event["stage"] for event in events}
+    assert events[-1]["report"]["held_out_photos"] == ["4.png"]
+
+
+def test_few_photos_hold_none_out(tmp_path, capsys):
+    code, events = run(capsys, "recover", make_scene(tmp_path / "s", photos=2), "--out", tmp_path / "out")
+    assert code == 0
+    assert events[-1]["report"]["held_out_psnr"] is None
+
+
+def test_a_mesh_without_uvs_is_unwrapped_on_request(scene, tmp_path, capsys):
+    (scene / "mesh.obj").write_text(re.sub(r"/\d", "", re.sub("vt.*\n", "", SQUARE)))
+    code, events = run(capsys, "recover", scene, "--out", tmp_path / "out")
+    assert code == 2 and "--unwrap" in events[-1]["message"]
+    code, events = run(capsys, "recover", scene, "--out", tmp_path / "out", "--unwrap")
+    assert code == 0 and "unwrap" in {event["stage"] for event in events}
+    assert (tmp_path / "out/mesh.obj").read_text().count("\nvt ") >= 3
+
+
+def test_colmap_scenes_give_the_same_result(scene, tmp_path, capsys):
+    content = json.loads((scene / "transforms.json").read_text())
+    parent = tmp_path / "colmap"
+    (parent / "sparse/0").mkdir(parents=True)
+    (parent / "pictures").mkdir()
+    shutil.copy(scene / "mesh.obj", parent)
+    fx, fy, cx, cy = (content[k] for k in ("fl_x", "fl_y", "cx", "cy"))
+    (parent / "sparse/0/cameras.txt").write_text(f"1 PINHOLE 48 36 {fx} {fy} {cx} {cy}\n")
+    lines = []
+    for index, frame in enumerate(content["frames"]):
+        position = np.array(frame["transform_matrix"])[:3, 3]
+        # looking down -z, y up: COLMAP's axes are the world's turned half about x
+        turned = -position * (1, -1, -1)
+        lines.append(f"{index + 1} 0 1 0 0 {turned[0]} {turned[1]} {turned[2]} 1 {frame['file_path']}\n\n")
+        shutil.copy(scene / frame["file_path"], parent / "pictures")
+    (parent / "sparse/0/images.txt").write_text("".join(lines))
+    assert run(capsys, "recover", scene, "--out", tmp_path / "a")[0] == 0
+    assert run(capsys, "recover", parent, "--images", parent / "pictures", "--out", tmp_path / "b")[0] == 0
+    a, b = (read_texture(tmp_path / n / "albedo.png") for n in "ab")
+    np.testing.assert_allclose(a, b, atol=0.02)
+
+
+def broken_scenes(folder: Path) -> dict[str, tuple[list[str], str]]:
+    """Arguments and what the message must name, for each kind of bad input; made in `folder`."""
+    cases: dict[str, tuple[list[str], str]] = {}
+
+    def case(name: str, message: str, *extra: str) -> Path:
+        made = make_scene(folder / name, photos=2)
+        cases[name] = ([str(made), *extra], message)
+        return made
+
+    (case("missing image", r"1\.png") / "1.png").unlink()
+    (case("unreadable image", r"1\.png") / "1.png").write_bytes(b"\x89PNG\r\n\x1a\nnot really")
+    write_png(
+        case("image size unlike its camera", r"1\.png.*40 x 30") / "1.png", np.zeros((30, 40, 3), np.uint8)
+    )
+    made = case("nan pose", "frame 0") / "transforms.json"
+    made.write_text(
+        re.sub(r'"transform_matrix": \[\[[0-9.]+', '"transform_matrix": [[NaN', made.read_text(), count=1)
+    )
+    (case("empty mesh", r"mesh\.obj") / "mesh.obj").write_text("")
+    (case("no mesh", "--mesh") / "mesh.obj").unlink()
+    (case("overlapping uvs", "--unwrap") / "mesh.obj").write_text(
+        SQUARE.replace("f 1/1 3/3 4/4", "f 1/1 3/2 4/3")
+    )
+    (case("no pixel sees the mesh", "coordinate system") / "mesh.obj").write_text(
+        re.sub(r"v (\d) (\d) 0", r"v 9\1 9\2 0", SQUARE)
+    )
+    case("no such priors", "priors", "--priors", str(folder / "nowhere"))
+    cases["no scene"] = ([str(folder / "nothing")], "nothing")
+    if not os.path.exists("/dev/nvidiactl"):
+        case("no such device", "--device cuda", "--device", "cuda")
+    return cases
+
+
+def test_bad_input_ends_in_one_sentence_and_loses_nothing(tmp_path, capsys):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "albedo.png").write_text("former result")
+    for name, (arguments, message) in broken_scenes(tmp_path).items():
+        code = main(["recover", *arguments, "--out", str(out), "--json"])
+        captured = capsys.readouterr()
+        last = json.loads(captured.out.splitlines()[-1])
+        assert (code, last["stage"], last["code"]) == (2, "error", 2), (name, last)
+        assert re.search(message, last["message"]), (name, last["message"])
+        assert "\n" not in last["message"] and "Traceback" not in captured.err, name
+        assert [p.name for p in out.iterdir()] == ["albedo.png"], name
+    assert (out / "albedo.png").read_text() == "former result"
+
+
+def test_wrong_options_are_bad_input_too(capsys, monkeypatch):
+    for arguments in (["recover"], ["recover", "x", "--out", "y", "--texture-size", "0"], ["fly"]):
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+        assert end.value.code == 2
+
+
+def test_memory_and_disk_have_their_own_exit_code(scene, tmp_path, capsys, monkeypatch):
+    from dante_w import recover
+
+    def fail(error):
+        def raise_it(*_):
+            raise error
+
+        return raise_it
+
+    for error in (MemoryError(), OSError(28, "No space left on device", "albedo.png")):
+        monkeypatch.setattr(recover, "_trace", fail(error))
+        code, events = run(capsys, "recover", scene, "--out", tmp_path / "out")
+        assert code == 4 and events[-1]["code"] == 4
+        assert not (tmp_path / "out").exists()
+    monkeypatch.setattr(recover, "_trace", fail(ZeroDivisionError("a bug")))
+    assert run(capsys, "recover", scene, "--out", tmp_path / "out")[0] == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGTERM to handle")
+@pytest.mark.parametrize("wanted", ["rays", "optimise"])
+def test_signals_end_the_run_within_a_second(scene, tmp_path, wanted):
+    out = tmp_path / "out"
+    command = [
+        sys.executable,
+        "-m",
+        "dante_w",
+        "recover",
+        str(scene),
+        "--out",
+        str(out),
+        "--preset",
+        "paper",
+        "--json",
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if json.loads(line)["stage"] == wanted:
+                break
+        began = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        rest = process.stdout.read().splitlines()
+        assert process.wait(10) == 3
+        assert time.monotonic() - began < 1.0
+    assert json.loads(rest[-1]) == {
+        "stage": "error",
+        "code": 3,
+        "message": "Cancelled; the former result, if any, is untouched.",
+    }
+    assert not out.exists()
+
+
+def test_float_photos_with_nan_pixels(tmp_path, capsys):
+    folder = make_scene(tmp_path / "s", photos=3)
+    for index in range(3):
+        linear = read_texture(folder / f"{index}.png")
+        linear[3, 4] = np.nan
+        write_exr(folder / f"{index}.exr", linear.astype(np.float32))
+    text = (folder / "transforms.json").read_text()
+    (folder / "transforms.json").write_text(text.replace(".png", ".exr"))
+    assert run(capsys, "recover", folder, "--out", tmp_path / "out")[0] == 0
+    assert np.isfinite(read_texture(tmp_path / "out/albedo.png")).all()
+
+
+def test_doctor_names_device_libraries_and_memory(capsys):
+    assert main(["doctor", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {"device", "torch", "numba", "free_memory_gib", "cuda"} <= set(found)
+    assert main(["doctor"]) == 0
+    assert "device:" in capsys.readouterr().out
