@@ -15,7 +15,7 @@ import numpy as np
 from command import ROOT, blender, dante_w
 from gigalit import score
 from metrics import psnr
-from pictures import PAPER, caption, grid, read, read_on_paper, write
+from pictures import PAPER, caption, grid, read, read_on_paper, trim, write
 from views import linear_texture, viewer_of
 
 HELD_OUT = "sunset"
@@ -98,7 +98,8 @@ def picture(out: Path, scores: dict[str, dict[str, float]]) -> np.ndarray:
         (read_on_paper(relit["truth"]), "True albedo, relit", "Cycles, an HDRI and a sun no photo saw"),
         (read_on_paper(relit["result"]), "Recovered albedo, relit", f"{relit_psnr:.1f} dB"),
     ]
-    captioned = [caption(tile, title, note) for tile, title, note in tiles]
+    trimmed = trim([tile for tile, _, _ in tiles])
+    captioned = [caption(tile, *words) for tile, (_, *words) in zip(trimmed, tiles, strict=True)]
     return grid([captioned[:3], captioned[3:]])
 
 

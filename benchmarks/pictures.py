@@ -45,14 +45,6 @@ def write(path: Path, picture: np.ndarray) -> None:
     partial.replace(path)
 
 
-def resize(picture: np.ndarray, width: int, height: int) -> np.ndarray:
-    source = oiio.ImageBuf(np.ascontiguousarray(picture, np.float32))
-    target = oiio.ImageBufAlgo.resize(
-        source, filtername="lanczos3", roi=oiio.ROI(0, width, 0, height, 0, 1, 0, 3)
-    )
-    return np.clip(target.get_pixels(oiio.FLOAT), 0.0, 1.0)
-
-
 def caption(picture: np.ndarray, title: str, note: str = "") -> np.ndarray:
     """`picture` with a line of text below it, and a smaller one below that."""
     height, width, _ = picture.shape
@@ -62,6 +54,14 @@ def caption(picture: np.ndarray, title: str, note: str = "") -> np.ndarray:
         if text:
             oiio.ImageBufAlgo.render_text(buffer, width // 2, y, text, size, "DroidSans", INK, "center")
     return buffer.get_pixels(oiio.FLOAT)
+
+
+def trim(pictures: Sequence[np.ndarray], margin: int = 8) -> list[np.ndarray]:
+    """The same rows of all pictures: those where at least one shows more than paper, and a margin."""
+    shown = np.any([(np.abs(picture - PAPER) > 0.02).any(axis=(1, 2)) for picture in pictures], axis=0)
+    rows = np.flatnonzero(shown)
+    keep = slice(max(rows[0] - margin, 0), rows[-1] + 1 + margin)
+    return [picture[keep] for picture in pictures]
 
 
 def grid(rows: Sequence[Sequence[np.ndarray]], gap: int = 12) -> np.ndarray:

@@ -35,6 +35,7 @@ from studio import (
     load_mesh,
     open_studio,
     photograph,
+    quiet,
     set_lighting,
     shipped_hdris,
     sky_irradiance,
@@ -157,14 +158,15 @@ def subject(options: argparse.Namespace, out: Path) -> tuple[bpy.types.Object, b
     texture.save()
     bpy.ops.object.select_all(action="DESELECT")
     thing.select_set(True)
-    bpy.ops.wm.obj_export(
-        filepath=str(out / "mesh.obj"),
-        export_selected_objects=True,
-        export_triangulated_mesh=True,
-        export_materials=False,
-        forward_axis="Y",
-        up_axis="Z",
-    )
+    with quiet():
+        bpy.ops.wm.obj_export(
+            filepath=str(out / "mesh.obj"),
+            export_selected_objects=True,
+            export_triangulated_mesh=True,
+            export_materials=False,
+            forward_axis="Y",
+            up_axis="Z",
+        )
     return thing, texture
 
 

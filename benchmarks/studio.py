@@ -156,12 +156,13 @@ def load_mesh(path: Path, up: str = "Z") -> bpy.types.Object:
         {"forward_axis": "Y", "up_axis": "Z"} if up == "Z" else {"forward_axis": "NEGATIVE_Z", "up_axis": "Y"}
     )
     before = set(bpy.data.objects)
-    if path.suffix.lower() == ".obj":
-        bpy.ops.wm.obj_import(filepath=str(path), **axes)
-    elif path.suffix.lower() == ".ply":
-        bpy.ops.wm.ply_import(filepath=str(path), **axes)
-    else:
-        bpy.ops.import_scene.gltf(filepath=str(path))
+    with quiet():
+        if path.suffix.lower() == ".obj":
+            bpy.ops.wm.obj_import(filepath=str(path), **axes)
+        elif path.suffix.lower() == ".ply":
+            bpy.ops.wm.ply_import(filepath=str(path), **axes)
+        else:
+            bpy.ops.import_scene.gltf(filepath=str(path))
     meshes = [thing for thing in bpy.data.objects if thing not in before and thing.type == "MESH"]
     return join(meshes)
 
