@@ -283,7 +283,7 @@ def story(options: argparse.Namespace):
     yield from driver.rest()
     yield from driver.shot("panel-relight")
     yield from driver.press("relight", every=True)
-    yield from driver.wait_for(lambda: len(relight_operators.active.pictures) == 2, 300.0, "two tiles")
+    yield from driver.wait_for(lambda: len(relight_operators.active.files) == 2, 300.0, "two tiles")
     yield from driver.rest()
     yield from driver.shot("panel-sheet-running")
     yield from driver.wait_for(lambda: relight_operators.active is None, 300.0, "the contact sheet")

@@ -5,7 +5,7 @@ import math
 import bpy
 import numpy as np
 import pytest
-from small_scene import add_camera, add_cube, build
+from small_scene import add_camera, add_cube, build, save_picture
 
 from dante_w_addon import hdris, relight, relight_operators
 
@@ -119,14 +119,24 @@ def test_contact_sheet_of_all_presets(addon, scene, monkeypatch):
     sheet = bpy.data.images[relight_operators.SHEET]
     assert len(hdris.presets()) == 8
     step_x, step_y = 64 + relight.GAP, 48 + relight.GAP
-    width, height = 3 * step_x - relight.GAP, 3 * step_y - relight.GAP
+    width, height = 4 * step_x - relight.GAP, 2 * step_y - relight.GAP
     assert tuple(sheet.size) == (width, height)
     pixels = np.array(sheet.pixels).reshape(height, width, 4)
-    corners = [(step_x * column, step_y * row) for row in (2, 1, 0) for column in range(3)]
+    corners = [(step_x * column, step_y * row) for row in (1, 0) for column in range(4)]
     tiles = [pixels[y : y + 48, x : x + 64] for x, y in corners]
     means = [tile[..., :3].mean() for tile in tiles]
-    assert len({round(float(mean), 4) for mean in means[:8]}) == 8, "each light gives its own picture"
-    assert means[8] == 0.0, "the ninth place is empty"
+    assert len({round(float(mean), 4) for mean in means}) == 8, "each light gives its own picture"
+
+
+def test_labels_are_written_into_the_corner(tmp_path):
+    if bpy.app.version < (4, 3, 0):
+        pytest.skip("this Blender cannot write text into images")
+    path = tmp_path / "a.png"
+    save_picture(path, 200, 150, (0.2, 0.2, 0.2, 1.0))
+    relight.write_label(path, "Forest")
+    picture = relight.read_picture(path)[..., :3]
+    assert picture[:30, :100].max() > 0.9 and picture[:30, :100].min() < 0.1
+    assert picture[40:] == pytest.approx(51 / 255, abs=0.005)
 
 
 def test_contact_sheet_order():

@@ -18,9 +18,14 @@ def presets() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*")) if path.suffix.lower() in SUFFIXES}
 
 
+def title(stem: str) -> str:
+    """A file's name as people read it."""
+    return stem.replace("_", " ").title()
+
+
 def enum_items() -> list[tuple[str, str, str]]:
     """Menu entries."""
-    shipped = [(name, name.replace("_", " ").title(), f"{name}, ships with Blender") for name in presets()]
+    shipped = [(name, title(name), f"{name}, ships with Blender") for name in presets()]
     return [*shipped, (OWN, "Own File", "Any equirectangular .hdr or .exr file")]
 
 

@@ -13,7 +13,7 @@ import bpy
 from .process import Process, Progress
 from .result import take_in
 
-TICK = 0.2  # seconds between looks at the backend
+TICK = 0.25  # seconds between looks at the backend
 
 
 @dataclass
@@ -139,11 +139,12 @@ def stop() -> None:
 
 
 def redraw() -> None:
-    """Draw the sidebars again."""
+    """Draw the panels again, and nothing else: redrawing the viewport would take time from the backend."""
     for window in bpy.context.window_manager.windows if bpy.context.window_manager else ():
         for area in window.screen.areas:
-            if area.type in ("VIEW_3D", "PREFERENCES"):
-                area.tag_redraw()
+            for region in area.regions:
+                if (area.type, region.type) in (("VIEW_3D", "UI"), ("PREFERENCES", "WINDOW")):
+                    region.tag_redraw()
 
 
 def _uid(obj: bpy.types.Object) -> int:

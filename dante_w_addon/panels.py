@@ -115,7 +115,7 @@ class DANTEW_PT_relight(_Panel, bpy.types.Panel):
         column.prop(settings, "samples")
         running = relight_operators.active
         if running is not None:
-            done, total = len(running.pictures), len(running.lights)
+            done, total = len(running.files), len(running.lights)
             layout.progress(factor=(done + 0.5) / total, text=f"Rendering {done + 1} of {total}")
         else:
             row = layout.row(align=True)
@@ -128,7 +128,7 @@ class DANTEW_PT_relight(_Panel, bpy.types.Panel):
         if image is not None and image.preview is not None:
             layout.operator("dantew.open_image", text="Open Picture", icon="IMAGE_DATA").name = image.name
             units = context.region.width / (24.0 * context.preferences.system.ui_scale)
-            layout.template_icon(icon_value=image.preview.icon_id, scale=min(units, 14.0))
+            layout.template_icon(icon_value=image.preview.icon_id, scale=min(units, 11.0))
 
 
 def facts(report: dict) -> list[tuple[str, str]]:

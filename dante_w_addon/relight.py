@@ -14,7 +14,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import blf
 import bpy
+import imbuf
 import numpy as np
 
 from . import hdris
@@ -139,7 +141,9 @@ def _world_nodes(world: bpy.types.World) -> tuple[bpy.types.Node, bpy.types.Node
 
 def contact_sheet(pictures: Sequence[np.ndarray], columns: int = 0) -> np.ndarray:
     """Tile equally large pictures (H, W, C), the first one top left, as rows from the bottom as Blender has them."""
-    columns = columns or math.ceil(math.sqrt(len(pictures)))
+    side = math.ceil(math.sqrt(len(pictures)))
+    even = (columns for columns in range(side, 2 * side) if len(pictures) % columns == 0)  # no empty place
+    columns = columns or next(even, side)
     rows = math.ceil(len(pictures) / columns)
     height, width, channels = pictures[0].shape
     sheet = np.zeros((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, channels), np.float32)
@@ -177,15 +181,41 @@ def keep_picture(name: str, pixels: np.ndarray) -> bpy.types.Image:
     return image
 
 
+def write_label(path: Path, text: str) -> None:
+    """Write `text` into the lower left corner of an image file, where this Blender can (4.3 and later)."""
+    if not hasattr(blf, "bind_imbuf"):
+        return
+    picture = imbuf.load(str(path))
+    height = max(picture.size[1] // 14, 8)
+    with blf.bind_imbuf(0, picture, display_name="sRGB"):
+        blf.size(0, height)
+        outline = [(x, y, 0.0) for x in (-1, 0, 1) for y in (-1, 0, 1)]  # readable on any background
+        for x, y, shade in (*outline, (0, 0, 1.0)):
+            blf.color(0, shade, shade, shade, 1.0)
+            blf.position(0, height // 2 + x, height // 2 + y, 0)
+            blf.draw_buffer(0, text)
+    imbuf.write(picture, filepath=str(path))
+    picture.free()
+
+
+def take_pictures(files: Sequence[Path], lights: Sequence[Path]) -> np.ndarray:
+    """One rendered file as it is; several as a contact sheet, each with its light's name."""
+    if len(files) == 1:
+        return read_picture(files[0])
+    for file, light in zip(files, lights, strict=True):
+        write_label(file, hdris.title(light.stem))
+    return contact_sheet([read_picture(file) for file in files])
+
+
 def render_all(
     studio: Studio, lights: Sequence[Path], folder: Path, step: Callable[[int], None] = lambda index: None
 ) -> np.ndarray:
     """Render a still per HDRI and tile them; one HDRI gives a plain still. Waits for the renders."""
-    pictures = []
+    files = []
     for index, hdri in enumerate(lights):
         step(index)
-        pictures.append(read_picture(studio.still(hdri, folder / f"{index}.png")))
-    return contact_sheet(pictures) if len(pictures) > 1 else pictures[0]
+        files.append(studio.still(hdri, folder / f"{index}.png"))
+    return take_pictures(files, lights)
 
 
 @contextlib.contextmanager

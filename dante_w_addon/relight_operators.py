@@ -24,17 +24,17 @@ class Relighting:
 
     def __init__(self, studio: relight.Studio, lights: list[Path], name: str) -> None:
         self.studio, self.lights, self.name = studio, lights, name
-        self.pictures: list[np.ndarray] = []
+        self.files: list[Path] = []
         self.folder = Path(tempfile.mkdtemp(prefix="dante_w_", dir=bpy.app.tempdir))
         self.message = ""
 
     @property
     def target(self) -> Path:
-        return self.folder / f"{len(self.pictures)}.png"
+        return self.folder / f"{len(self.files)}.png"
 
     def start_next(self) -> None:
         """Start one render in the background, with no window of its own."""
-        self.studio.light(self.lights[len(self.pictures)], self.target)
+        self.studio.light(self.lights[len(self.files)], self.target)
         view = bpy.context.preferences.view
         kept = view.render_display_type
         view.render_display_type = "NONE"
@@ -51,12 +51,11 @@ class Relighting:
         if not self.target.is_file():
             self.message = "The preview was stopped."
             return self.close()
-        self.pictures.append(relight.read_picture(self.target))
-        if len(self.pictures) < len(self.lights):
+        self.files.append(self.target)
+        if len(self.files) < len(self.lights):
             self.start_next()
             return True
-        several = len(self.pictures) > 1
-        keep(self.name, relight.contact_sheet(self.pictures) if several else self.pictures[0])
+        keep(self.name, relight.take_pictures(self.files, self.lights))
         return self.close()
 
     def close(self) -> bool:

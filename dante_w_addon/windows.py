@@ -19,6 +19,14 @@ def open_editor(context: bpy.types.Context, kind: str, data: bpy.types.ID) -> No
         space = area.spaces.active
         if kind == "IMAGE_EDITOR":
             space.image = data
+            region = next(region for region in area.regions if region.type == "WINDOW")
+            with context.temp_override(window=_window_of(manager, area), area=area, region=region):
+                if bpy.ops.image.view_all.poll():
+                    bpy.ops.image.view_all(fit_view=True)
         else:
             space.text = data
         area.tag_redraw()
+
+
+def _window_of(manager: bpy.types.WindowManager, area: bpy.types.Area) -> bpy.types.Window:
+    return next(window for window in manager.windows if area in list(window.screen.areas))
