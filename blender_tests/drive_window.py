@@ -235,6 +235,7 @@ def story(options: argparse.Namespace):
         region=next(r for r in driver.view.regions if r.type == "WINDOW"),
     ):
         bpy.ops.view3d.view_selected()
+        bpy.ops.ed.undo_push(message="Scene")  # what a script does is no undo step by itself
     yield 1.0
     yield from driver.rest()
     yield from driver.shot("panel-source")

@@ -114,7 +114,7 @@ class Studio:
         for name in ("view_transform", "look", "exposure", "gamma"):
             setattr(self.scene.view_settings, name, getattr(user.view_settings, name))
         cycles = self.scene.cycles
-        cycles.device = user.cycles.device if user.render.engine == "CYCLES" else "CPU"
+        cycles.device = user.cycles.device
         cycles.samples = self._look.samples
         cycles.use_adaptive_sampling = False
         cycles.use_denoising = False

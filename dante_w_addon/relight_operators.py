@@ -122,7 +122,9 @@ class DANTEW_OT_relight(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         settings = properties.of(context.scene)
-        if context.scene.camera is None:
+        if not hasattr(context.scene, "cycles"):
+            cls.poll_message_set("Turn on the Cycles add-on in the preferences")
+        elif context.scene.camera is None:
             cls.poll_message_set("The scene has no camera to look through")
         elif active is not None or bpy.app.is_job_running("RENDER"):
             cls.poll_message_set("A render is running")
