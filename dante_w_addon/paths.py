@@ -48,9 +48,11 @@ def file_name(text: str) -> str:
 
 def user_folder() -> Path | None:
     """The extension's own folder, or None where the add-on runs from a checkout."""
-    if not __package__.startswith("bl_ext."):
-        return None
-    return Path(bpy.utils.extension_path_user(__package__, create=True))
+    if __package__.startswith("bl_ext."):
+        return Path(bpy.utils.extension_path_user(__package__, create=True))
+    if (HERE / "backend").is_dir():  # installed, but run by batch.py under another name
+        return HERE.parent.parent / ".user" / HERE.parent.name / HERE.name
+    return None
 
 
 def run_folder(setting: str, object_name: str) -> Path:

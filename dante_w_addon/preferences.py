@@ -25,8 +25,9 @@ def made_environment() -> Path | None:
 
 def backend_python() -> str | None:
     """The interpreter to use: typed, named by the environment, made by the button, or the checkout's."""
-    addon = bpy.context.preferences.addons.get(__package__)
-    typed = addon.preferences.python if addon is not None and addon.preferences else ""
+    addons = bpy.context.preferences.addons  # batch.py runs under another name than the enabled extension
+    enabled = (addon for addon in addons if addon.module == __package__ or addon.module.endswith(".dante_w"))
+    typed = next((addon.preferences.python for addon in enabled if addon.preferences), "")
     made = made_environment()
     ready = made is not None and (made / READY).is_file()
     folders = [made if ready else None, None if user_folder() else HERE.parent / ".venv"]
