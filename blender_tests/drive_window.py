@@ -37,7 +37,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 DISPLAY = ":97"
-WIDTH, HEIGHT = 1600, 1000
+WIDTH, HEIGHT = 1600, 1150
 PATIENCE = 900.0  # seconds for the whole drive
 
 
