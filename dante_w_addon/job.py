@@ -66,7 +66,7 @@ class Task:
     commands: list[list[str]]
     then: Callable[[], None] = lambda: None
     process: Process | None = None
-    state: str = "running"  # running, done, failed
+    state: str = "running"  # running, done, failed, stopped
     lines: list[str] = field(default_factory=list)
     started: float = field(default_factory=time.monotonic)
 
@@ -78,7 +78,7 @@ class Task:
             if code is None:
                 return True
             if code != 0 or self.process.cancelled:
-                self.state = "failed"
+                self.state = "stopped" if self.process.cancelled else "failed"
                 return False
         if not self.commands:
             self.state = "done"

@@ -31,7 +31,7 @@ class DANTEW_PT_source(_Panel, bpy.types.Panel):
             column.label(text="Select the mesh to texture", icon="OUTLINER_OB_MESH")
         else:
             column.label(text=f"{obj.name}: {len(obj.data.polygons):,} faces", icon="OUTLINER_OB_MESH")
-        column.label(text=f"{found.photos} photos on {found.cameras} cameras", icon="OUTLINER_OB_CAMERA")
+        column.label(text=f"{found.photos} of {found.cameras} cameras have photos", icon="OUTLINER_OB_CAMERA")
         for problem in found.problems[:MAX_PROBLEMS]:
             _sentence(context, layout, problem, "ERROR")
         if len(found.problems) > MAX_PROBLEMS:

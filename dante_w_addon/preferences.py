@@ -15,6 +15,12 @@ from .paths import HERE, backend_folder, launcher, user_folder
 VARIABLE = "DANTEW_BACKEND_PYTHON"
 #: File that says an environment was made to the end: half of one is none.
 READY = "dante_w_ready.txt"
+#: How a set-up task may end, in words and an icon.
+ENDS = {
+    "done": ("It works", "CHECKMARK"),
+    "failed": ("It does not work:", "ERROR"),
+    "stopped": ("Stopped", "INFO"),
+}
 
 
 def made_environment() -> Path | None:
@@ -75,7 +81,7 @@ class DANTEW_OT_make_environment(bpy.types.Operator):
         python = environment.base_python()
         if python is None:
             self.report(
-                {"ERROR"}, "No Python 3.11 or newer was found; install one, or type one in the preferences"
+                {"ERROR"}, "No Python 3.11 or newer that makes environments was found (Debian: python3-venv)"
             )
             return {"CANCELLED"}
         try:
@@ -142,8 +148,7 @@ def draw_backend(layout: bpy.types.UILayout) -> None:
         row = box.row()
         row.label(text=f"{job.task.title}...", icon="TIME")
         row.operator(DANTEW_OT_stop_task.bl_idname, icon="CANCEL")
-        for line in job.task.lines[-1:]:
-            box.label(text=line[:80])
+        box.label(text=job.task.lines[-1][:80] if job.task.lines else "")
         return
     row = box.row()
     if made_environment() is not None:
@@ -152,13 +157,10 @@ def draw_backend(layout: bpy.types.UILayout) -> None:
             box.label(text="Needs Allow Online Access (Preferences > System)", icon="ERROR")
     row.operator(DANTEW_OT_check_python.bl_idname, icon="VIEWZOOM")
     if job.task is not None:
-        ended_well = job.task.state == "done"
-        box.label(
-            text="It works" if ended_well else "It does not work:",
-            icon="CHECKMARK" if ended_well else "ERROR",
-        )
+        text, icon = ENDS[job.task.state]
+        box.label(text=text, icon=icon)
         column = box.column(align=True)
-        for line in job.task.lines[-10:]:
+        for line in job.task.lines[-10:] if job.task.state != "stopped" else ():
             column.label(text=line[:100])
 
 
