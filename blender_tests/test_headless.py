@@ -47,7 +47,7 @@ def test_recovers_saves_and_relights(blend, tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(out / "small scene.blend"))
     cube = bpy.data.objects["Cube"]
     image = cube.active_material.node_tree.nodes.active.image
-    assert image.packed_file is None and bpy.path.abspath(image.filepath) == str(out / "albedo.png")
+    assert image.packed_file is None and image.filepath == "//albedo.png", "the folder may be moved"
     assert cube["dante_w_originals"]["0"].name == "Original"
 
 

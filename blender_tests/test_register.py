@@ -18,7 +18,7 @@ def test_register_and_unregister_leave_nothing_behind():
         dante_w_addon.register()
         classes, settings, handlers = ours()
         assert {"DANTEW_OT_recover", "DANTEW_PT_recover", "DANTEW_PT_relight"} <= classes
-        assert settings and len(handlers) == len(before[2]) + 1
+        assert settings and len(handlers) == len(before[2]) + 2
         dante_w_addon.unregister()
         assert ours() == before
 

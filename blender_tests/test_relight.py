@@ -70,6 +70,22 @@ def test_settings_survive_a_failing_render(scene, tmp_path, monkeypatch):
     assert state() == before
 
 
+def test_a_scene_left_behind_is_removed_by_the_next_preview(scene):
+    relight.Studio(bpy.context, TINY)  # never closed, as after undo
+    assert len(bpy.data.scenes) == 2
+    with relight.Studio(bpy.context, TINY):
+        assert len(bpy.data.scenes) == 2
+    assert list(bpy.data.scenes) == [scene]
+
+
+def test_opening_another_file_forgets_a_running_preview(addon, scene):
+    studio = relight.Studio(bpy.context, TINY)
+    relight_operators.active = relight_operators.Relighting(studio, relight.default_lights(), "picture")
+    assert not bpy.ops.dantew.relight.poll()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert relight_operators.active is None
+
+
 def test_lamps_are_left_out(scene, tmp_path):
     black = tmp_path / "black.hdr"
     image = bpy.data.images.new("black", 8, 4, float_buffer=True)

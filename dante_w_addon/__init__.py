@@ -19,6 +19,7 @@ def register() -> None:
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
     job.register()
+    relight_operators.register()
     _commands.append(bpy.utils.register_cli_command("dante_w", headless.main))
 
 
@@ -26,7 +27,7 @@ def unregister() -> None:
     """Undo `register`; a running backend is stopped."""
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
-    relight_operators.stop()
+    relight_operators.unregister()
     job.unregister()
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

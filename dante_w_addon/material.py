@@ -6,6 +6,7 @@ undo, and works in headless runs and where the add-on is off.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,9 @@ def load_image(path: Path, name: str, pack: bool, colour_space: str | None = Non
     image.colorspace_settings.name = colour_space or ("Linear Rec.709" if linear else "sRGB")
     if pack:
         image.pack()
+    elif bpy.data.filepath and bpy.context.preferences.filepaths.use_relative_paths:
+        with contextlib.suppress(ValueError):  # another drive on Windows
+            image.filepath = bpy.path.relpath(str(path))
     return image
 
 

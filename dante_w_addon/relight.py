@@ -22,6 +22,7 @@ import numpy as np
 from . import hdris
 
 LEFT_OUT = {"LIGHT", "CAMERA", "LIGHT_PROBE", "SPEAKER"}
+BORROWED = "dante_w_borrowed"  # custom property of a scene made here
 GAP = 4  # pixels between the tiles of a contact sheet
 
 
@@ -56,7 +57,9 @@ class Studio:
     def __init__(self, context: bpy.types.Context, look: Look) -> None:
         user = context.scene
         self._look = look
+        _remove_leftovers()
         self.scene = bpy.data.scenes.new("DANTE-W relight")
+        self.scene[BORROWED] = True
         self.world = bpy.data.worlds.new("DANTE-W relight")
         self.scene.world = self.world
         self.scene.camera = user.camera
@@ -121,6 +124,12 @@ class Studio:
         if can_denoise():
             cycles.use_denoising = True
             cycles.denoiser = "OPENIMAGEDENOISE"
+
+
+def _remove_leftovers() -> None:
+    """Undo can bring back a borrowed scene that was removed."""
+    for scene in [scene for scene in bpy.data.scenes if BORROWED in scene]:
+        bpy.data.scenes.remove(scene)
 
 
 def _world_nodes(world: bpy.types.World) -> tuple[bpy.types.Node, bpy.types.Node, bpy.types.Node]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import shutil
 import tempfile
 from pathlib import Path
@@ -185,9 +184,24 @@ def stop() -> None:
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     if active is not None:
-        with contextlib.suppress(ReferenceError):
-            active.close()
+        active.close()
         active = None
+
+
+@bpy.app.handlers.persistent
+def _file_closes(*_: object) -> None:
+    stop()
+
+
+def register() -> None:
+    """Forget a relighting when its file is closed."""
+    bpy.app.handlers.load_pre.append(_file_closes)
+
+
+def unregister() -> None:
+    """Undo `register`."""
+    stop()
+    bpy.app.handlers.load_pre.remove(_file_closes)
 
 
 CLASSES = (DANTEW_OT_relight, DANTEW_OT_open_image)
