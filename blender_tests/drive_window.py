@@ -281,8 +281,11 @@ def story(options: argparse.Namespace):
     assert relight_operators.active is not None, "the preview did not start"
     yield from driver.wait_for(lambda: relight_operators.active is None, 300.0, "the preview")
     assert bpy.data.images.get(relight_operators.PREVIEW), relight_operators.last_message
+    space.shading.type = "MATERIAL"
+    yield 3.0
     yield from driver.rest()
     yield from driver.shot("panel-relight")
+    space.shading.type = "SOLID"
     yield from driver.press("relight", every=True)
     yield from driver.wait_for(lambda: len(relight_operators.active.files) == 2, 300.0, "two tiles")
     yield from driver.rest()
