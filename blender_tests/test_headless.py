@@ -11,6 +11,9 @@ import bpy
 import pytest
 from conftest import HERE, ROOT
 
+from dante_w_addon import headless
+from dante_w_addon.process import Process
+
 BATCH = ROOT / "dante_w_addon" / "batch.py"
 
 
@@ -94,6 +97,22 @@ def test_signals_cancel(blend, tmp_path, number):
     process.communicate(timeout=10)
     assert process.returncode == 3
     assert time.monotonic() - before < 1.5
+
+
+def test_blenders_own_signal_handlers_are_no_obstacle(monkeypatch):
+    """Blender sets its handler in C; Python then says None for it, and takes no None back."""
+    real = signal.signal
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def as_in_blender(number, handler):
+        real(number, handler)  # raises TypeError for None
+
+    monkeypatch.setattr(signal, "signal", as_in_blender)
+    try:
+        assert headless._follow(Process([sys.executable, "-c", "raise SystemExit(4)"]), True).code == 4
+    finally:
+        for number, handler in kept.items():
+            real(number, handler)
 
 
 def test_batch_runs_by_itself(blend, tmp_path):

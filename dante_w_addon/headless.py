@@ -187,7 +187,7 @@ def _follow(process: Process, as_json: bool) -> Progress:
         if process.returncode is None and not process.cancelled:
             process.kill()
         for number, handler in former.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)  # None: Blender's own
     return progress
 
 
