@@ -118,7 +118,8 @@ def _explain(as_json: bool, error: BaseException) -> int:
 
 def _fail(as_json: bool, code: int, message: str) -> int:
     if as_json:
-        Progress(True).say({"stage": "error", "code": code, "message": message})
+        with contextlib.suppress(BrokenPipeError):  # nobody reads any more: the exit code still tells
+            Progress(True).say({"stage": "error", "code": code, "message": message})
     else:
         print(f"dante-w: {message}", file=sys.stderr)
     return code

@@ -19,13 +19,15 @@ class Preset:
     final_pass: Schedule
 
 
-def _cpu_sized(albedo_finest: int, log2_table: int, steps: int, batch: int) -> Preset:
+def _sized(albedo_finest: int, log2_table: int, steps: int, batch: int) -> Preset:
+    """A model that two CPU cores can fit. Measured without priors on four objects, irradiance that ends at
+    resolution 16 beats 8, 32 and 64 on average, and a rate of 1e-2 reaches in 300 steps what 2e-3 does not."""
     model = ModelSpec(
         albedo=GridSpec(2, levels=12, features=2, coarsest=16, finest=albedo_finest, log2_table=log2_table),
-        irradiance=GridSpec(3, levels=6, features=2, coarsest=4, finest=64, log2_table=16),
+        irradiance=GridSpec(3, levels=4, features=2, coarsest=4, finest=16, log2_table=16),
         hidden=32,
     )
-    return Preset(2048, model, Schedule(steps, batch), Schedule(steps // 4, batch, 5e-4))
+    return Preset(2048, model, Schedule(steps, batch, 1e-2), Schedule(steps // 4, batch, 2e-3))
 
 
 def equal_bands(model: ModelSpec) -> ModelSpec:
@@ -35,9 +37,9 @@ def equal_bands(model: ModelSpec) -> ModelSpec:
 
 
 PRESETS = {
-    "draft": _cpu_sized(albedo_finest=1024, log2_table=17, steps=200, batch=1 << 15),
-    "standard": _cpu_sized(albedo_finest=2048, log2_table=19, steps=800, batch=1 << 15),
-    "high": _cpu_sized(albedo_finest=4096, log2_table=21, steps=4000, batch=1 << 16),
+    "draft": _sized(albedo_finest=1024, log2_table=17, steps=150, batch=1 << 15),
+    "standard": _sized(albedo_finest=2048, log2_table=19, steps=500, batch=1 << 15),
+    "high": _sized(albedo_finest=4096, log2_table=21, steps=2500, batch=1 << 16),
     # the released reference: grids, decoders, rays a step; 1000 steps a pass, up to 20 passes
     "paper": Preset(
         2048,
