@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from command import blender, dante_w
-from dante_w.load import load_scene
+from dante_w.scene.load import load_scene
 from pictures import caption, grid, read, write
 
 WIDTH = 560

@@ -6,10 +6,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from dante_w.cameras import directions
-from dante_w.mesh import read_mesh
-from dante_w.raycast import Frame3D, Raycaster
-from dante_w.scene_folder import Camera, read_scene
+from dante_w.rays.raycast import Frame3D, Raycaster
+from dante_w.scene.cameras import directions
+from dante_w.scene.mesh import read_mesh
+from dante_w.scene.scene_folder import Camera, read_scene
 from metrics import linear_from_srgb, srgb_from_linear
 from pictures import read
 

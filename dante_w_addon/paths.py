@@ -30,7 +30,9 @@ def launcher() -> Path:
 
 def _load_scene_folder() -> ModuleType:
     name = f"{__package__}.scene_folder"
-    spec = importlib.util.spec_from_file_location(name, backend_folder() / "dante_w" / "scene_folder.py")
+    spec = importlib.util.spec_from_file_location(
+        name, backend_folder() / "dante_w" / "scene" / "scene_folder.py"
+    )
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # before it runs: dataclasses look their module up
     spec.loader.exec_module(module)

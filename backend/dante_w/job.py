@@ -1,29 +1,23 @@
 """Run one command so that it ends cleanly, whatever happens to it.
 
 The work runs in a thread of its own while the main thread waits for signals: SIGINT and SIGTERM take effect within
-a second even while a library computes, because the process then removes its staging folder and leaves. Results
-are staged inside the result folder and renamed into place, the report last.
+a second even while a library computes, because the process then removes its staging folder and leaves.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import errno
 import os
-import shutil
 import signal
 import sys
 import threading
 import traceback
-from pathlib import Path
 from typing import Any
 
-from dante_w.errors import BUG, CANCELLED, DONE, OUT_OF_ROOM, BadInput, DanteError
+from dante_w.errors import BUG, CANCELLED, DONE, OUT_OF_ROOM, DanteError
 from dante_w.progress import Progress
-
-STAGING = ".partial"
-REPORT = "report.json"
+from dante_w.result_folder import abandon, is_full, publish, stage
 
 
 def run(command: str, options: argparse.Namespace) -> int:
@@ -32,6 +26,7 @@ def run(command: str, options: argparse.Namespace) -> int:
     outcome: dict[str, Any] = {}
     finished = threading.Event()
     cancelled = threading.Event()
+    publishing = threading.Lock()
 
     def cancel(*_: Any) -> None:
         cancelled.set()
@@ -43,7 +38,10 @@ def run(command: str, options: argparse.Namespace) -> int:
 
     def work() -> None:
         try:
-            outcome["report"] = _work(command, options, progress)
+            report = _work(command, options, progress)
+            with publishing:
+                publish(options.out)
+                outcome["report"] = report
         except BaseException as error:
             outcome["error"] = error
         finally:
@@ -52,11 +50,12 @@ def run(command: str, options: argparse.Namespace) -> int:
     threading.Thread(target=work, daemon=True).start()
     while not finished.wait(0.2):
         progress.beat()
-    if cancelled.is_set():
-        _clear(options.out)
+    publishing.acquire()  # a result that is being put into place is finished, whatever comes
+    if cancelled.is_set() and "report" not in outcome:
+        abandon(options.out)
         return _leave(_fail(options.json, CANCELLED, "Cancelled; the former result, if any, is untouched."))
     if "error" in outcome:
-        _clear(options.out)
+        abandon(options.out)
         return _explain(options.json, outcome["error"])
     if options.json:
         progress.say({"stage": "done", "out": str(options.out.resolve()), "report": outcome["report"]})
@@ -69,30 +68,9 @@ def _work(command: str, options: argparse.Namespace, progress: Progress) -> dict
     from dante_w import recover  # torch takes seconds to import; signals already work
 
     progress.update("scene", 0, 1)
-    staging = options.out / STAGING
-    try:
-        shutil.rmtree(staging, ignore_errors=True)  # left by a process that was killed
-        staging.mkdir(parents=True)
-    except OSError as error:
-        if _is_full(error):
-            raise
-        raise BadInput(
-            f"{options.out}: cannot write here ({error.strerror}); choose another --out."
-        ) from error
+    staging = stage(options.out)
     report: dict[str, Any] = getattr(recover, command)(options, staging, progress)
-    (options.out / REPORT).unlink(missing_ok=True)  # from here to the last rename the folder is not whole
-    names = sorted(path.name for path in staging.iterdir() if path.is_file())
-    for name in sorted(names, key=lambda name: name == REPORT):
-        os.replace(staging / name, options.out / name)
-    shutil.rmtree(staging)  # with the ray cache, where that went to disk
     return report
-
-
-def _clear(out: Path) -> None:
-    """Remove the staging folder, and the result folder if that leaves it empty."""
-    shutil.rmtree(out / STAGING, ignore_errors=True)
-    with contextlib.suppress(OSError):
-        out.rmdir()
 
 
 def _leave(code: int) -> int:
@@ -107,7 +85,7 @@ def _explain(as_json: bool, error: BaseException) -> int:
         return _fail(as_json, error.exit_code, str(error))
     if isinstance(error, MemoryError) or "allocate" in str(error) or "out of memory" in str(error).lower():
         return _fail(as_json, OUT_OF_ROOM, "Out of memory; choose a smaller --texture-size or preset.")
-    if _is_full(error):
+    if is_full(error):
         where = getattr(error, "filename", None) or "the result folder"
         return _fail(as_json, OUT_OF_ROOM, f"{where}: the disk is full; free some space and run again.")
     traceback.print_exception(error, file=sys.stderr)
@@ -123,7 +101,3 @@ def _fail(as_json: bool, code: int, message: str) -> int:
     else:
         print(f"dante-w: {message}", file=sys.stderr)
     return code
-
-
-def _is_full(error: BaseException) -> bool:
-    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)

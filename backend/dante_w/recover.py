@@ -13,26 +13,26 @@ import numpy as np
 import torch
 
 from dante_w import __version__
-from dante_w.average import PhotoAverage
-from dante_w.bake import bake
 from dante_w.color import linear_from_srgb_array
-from dante_w.coverage import Coverage, empty_coverage, mark
 from dante_w.device import peak_memory, pick_device
 from dante_w.doctor import library_versions
-from dante_w.fields import Model, ModelSpec
-from dante_w.gauge import albedo_gain, start_exposures
-from dante_w.held_out import choose_held_out, held_out_psnr
-from dante_w.images import write_exr, write_png
-from dante_w.job import REPORT
-from dante_w.load import load_scene
-from dante_w.mesh import Mesh, write_obj
-from dante_w.optimise import LossTerms, Schedule, fit, photo_ranges
-from dante_w.presets import PRESETS, equal_bands
+from dante_w.model.fields import Model, ModelSpec
+from dante_w.model.gauge import albedo_gain, start_exposures
+from dante_w.model.held_out import choose_held_out, held_out_psnr
+from dante_w.model.optimise import LossTerms, Schedule, fit, photo_ranges
+from dante_w.model.presets import PRESETS, equal_bands
 from dante_w.progress import Progress
-from dante_w.ray_cache import RayCache, trace
-from dante_w.scene_folder import Scene
-from dante_w.unwrap import unwrap
-from dante_w.uvmap import check_uvs
+from dante_w.rays.ray_cache import RayCache, trace
+from dante_w.result_folder import REPORT
+from dante_w.scene.images import write_exr, write_png
+from dante_w.scene.load import load_scene
+from dante_w.scene.mesh import Mesh, write_obj
+from dante_w.scene.scene_folder import Scene
+from dante_w.texture.average import PhotoAverage
+from dante_w.texture.bake import bake
+from dante_w.texture.coverage import Coverage, empty_coverage, mark
+from dante_w.texture.unwrap import unwrap
+from dante_w.texture.uvmap import check_uvs
 
 #: Texels beyond each chart that are painted, so that mipmaps and bilinear lookups do not bleed.
 GUTTER = 16

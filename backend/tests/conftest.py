@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dante_w.cameras import directions
 from dante_w.color import srgb_from_linear_array
-from dante_w.images import write_png
-from dante_w.scene_folder import Camera
+from dante_w.scene.cameras import directions
+from dante_w.scene.images import write_png
+from dante_w.scene.scene_folder import Camera
 
 CAMERA = Camera("PINHOLE", 48, 36, (60.0, 60.0, 24.0, 18.0))
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from dante_w.coverage import empty_coverage, mark, seen
+from dante_w.texture.coverage import empty_coverage, mark, seen
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -1,12 +1,12 @@
 import numpy as np
 import torch
-from dante_w import gauge
 from dante_w.color import linear_from_srgb
-from dante_w.fields import Model, ModelSpec
-from dante_w.hash_encoding import GridSpec
-from dante_w.load import load_scene
-from dante_w.optimise import photo_ranges
-from dante_w.ray_cache import trace
+from dante_w.model import gauge
+from dante_w.model.fields import Model, ModelSpec
+from dante_w.model.hash_encoding import GridSpec
+from dante_w.model.optimise import photo_ranges
+from dante_w.rays.ray_cache import trace
+from dante_w.scene.load import load_scene
 
 SPEC = ModelSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 8, 10), hidden=16, embedding=3)
 

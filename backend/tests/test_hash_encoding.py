@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from dante_w.hash_encoding import PRIMES, GridSpec, HashGrid, encode_reference, vertex_index
+from dante_w.model.hash_encoding import PRIMES, GridSpec, HashGrid, encode_reference, vertex_index
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -61,7 +61,7 @@ def test_gradcheck(spec):
 
 
 def kernel(grid: HashGrid, points: torch.Tensor, tables: torch.Tensor) -> torch.Tensor:
-    from dante_w import hash_encoding_numba
+    from dante_w.model import hash_encoding_numba
 
     return hash_encoding_numba.encode(points, tables, grid.resolutions, grid.offsets)
 

@@ -8,7 +8,7 @@ import OpenImageIO as oiio  # noqa: N813
 import pytest
 from dante_w.color import linear_from_srgb_array, srgb_from_linear_array
 from dante_w.errors import BadInput, DanteError, OutOfRoom
-from dante_w.images import read_photo, read_size, read_texture, write_exr, write_png
+from dante_w.scene.images import read_photo, read_size, read_texture, write_exr, write_png
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 import torch
 from dante_w.color import linear_from_srgb, srgb_from_linear
-from dante_w.fields import Model, ModelSpec
-from dante_w.hash_encoding import GridSpec
-from dante_w.held_out import _bands, choose_held_out
-from dante_w.optimise import FINAL_RATE, RUN, LossTerms, batches, cosine, model_loss
-from dante_w.presets import PRESETS, equal_bands
-from dante_w.ray_cache import Samples
+from dante_w.model.fields import Model, ModelSpec
+from dante_w.model.hash_encoding import GridSpec
+from dante_w.model.held_out import _bands, choose_held_out
+from dante_w.model.optimise import FINAL_RATE, RUN, LossTerms, batches, cosine, model_loss
+from dante_w.model.presets import PRESETS, equal_bands
+from dante_w.rays.ray_cache import Samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 from conftest import CAMERA, make_scene, pose
-from dante_w import ray_cache
 from dante_w.errors import BadInput
-from dante_w.load import load_scene
-from dante_w.raycast import Frame3D, Raycaster
-from dante_w.scene_folder import Frame
+from dante_w.rays import ray_cache
+from dante_w.rays.raycast import Frame3D, Raycaster
+from dante_w.scene.load import load_scene
+from dante_w.scene.scene_folder import Frame
 
 CPU = torch.device("cpu")
 
@@ -62,7 +62,7 @@ def test_a_spilled_cache_holds_the_same_samples(scene, tmp_path, monkeypatch):
 
 
 def test_masked_pixels_make_no_samples(tmp_path):
-    from dante_w.images import write_png
+    from dante_w.scene.images import write_png
 
     folder = make_scene(tmp_path / "scene", photos=1)
     whole = trace(folder, tmp_path / "a")
@@ -101,7 +101,7 @@ def test_grazing_views_are_left_out(tmp_path):
 
 
 def test_a_far_offset_costs_no_precision(scene, tmp_path):
-    from dante_w.mesh import Mesh
+    from dante_w.scene.mesh import Mesh
 
     loaded, mesh = load_scene(scene)
     far = np.array([4.0e6, -1.0e7, 300.0])
@@ -124,7 +124,7 @@ def test_a_far_offset_costs_no_precision(scene, tmp_path):
 
 
 def test_priors_are_resized_to_their_photo(tmp_path):
-    from dante_w.images import write_png
+    from dante_w.scene.images import write_png
 
     folder = make_scene(tmp_path / "scene", photos=2)
     (tmp_path / "priors").mkdir()

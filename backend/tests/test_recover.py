@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import SQUARE, albedo_at, make_scene, photograph
-from dante_w import presets
 from dante_w.cli import main
 from dante_w.color import srgb_from_linear_array
-from dante_w.fields import ModelSpec
-from dante_w.hash_encoding import GridSpec
-from dante_w.images import read_texture, write_exr, write_png
-from dante_w.optimise import Schedule
-from dante_w.scene_folder import read_scene
+from dante_w.model import presets
+from dante_w.model.fields import ModelSpec
+from dante_w.model.hash_encoding import GridSpec
+from dante_w.model.optimise import Schedule
+from dante_w.scene.images import read_texture, write_exr, write_png
+from dante_w.scene.scene_folder import read_scene
 
 SIZE = 64
 STAGES = ["scene", "unwrap", "rays", "optimise", "held-out", "final pass", "bake", "write"]

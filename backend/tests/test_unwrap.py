@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dante_w import unwrap as module
 from dante_w.errors import BadInput, OutOfRoom
-from dante_w.mesh import Mesh
-from dante_w.unwrap import PADDING, unwrap
+from dante_w.scene.mesh import Mesh
+from dante_w.texture import unwrap as module
+from dante_w.texture.unwrap import PADDING, unwrap
 
 
 def cube(offset: float = 0.0) -> Mesh:
@@ -103,7 +103,7 @@ def test_the_child_dies_with_its_parent(tmp_path):
     assert "time.sleep" in slow
     script = (
         "import os, threading, time\n"
-        "from dante_w import unwrap\n"
+        "from dante_w.texture import unwrap\n"
         "from test_unwrap import cube\n"
         f"unwrap._CHILD = {slow!r}\n"
         "threading.Thread(target=unwrap.unwrap, args=(cube(), lambda share: None, 64), daemon=True).start()\n"

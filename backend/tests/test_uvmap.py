@@ -11,9 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dante_w import uvmap
 from dante_w.errors import BadInput
-from dante_w.uvmap import bin_faces, check_uvs, overlap_fraction, rasterise, rasterise_bins, rasterise_border
+from dante_w.texture import uvmap
+from dante_w.texture.uvmap import (
+    bin_faces,
+    check_uvs,
+    overlap_fraction,
+    rasterise,
+    rasterise_bins,
+    rasterise_border,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -199,11 +206,11 @@ def test_check_uvs() -> None:
 @pytest.mark.skipif(os.name == "nt", reason="blocks the caches with files where folders are wanted")
 @pytest.mark.parametrize("user_cache", [True, False])
 def test_kernels_run_where_nothing_can_be_cached_beside_them(tmp_path: Path, user_cache: bool) -> None:
-    package = Path(uvmap.__file__).parent
+    package = Path(uvmap.__file__).parents[1]
     shutil.copytree(package, tmp_path / "dante_w", ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "dante_w" / "__pycache__").touch()
+    (tmp_path / "dante_w" / "texture" / "__pycache__").touch()
     cache = tmp_path / "cache" if user_cache else tmp_path / "dante_w" / "__init__.py" / "cache"
-    code = "import numpy as np; from dante_w.uvmap import rasterise; print(rasterise(np.eye(3)[None, :, :2], 4, 4).sum())"
+    code = "import numpy as np; from dante_w.texture.uvmap import rasterise; print(rasterise(np.eye(3)[None, :, :2], 4, 4).sum())"
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     environment |= {"HOME": str(cache), "XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(tmp_path)}
     done = subprocess.run(

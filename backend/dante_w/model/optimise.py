@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from dante_w.color import linear_from_srgb, srgb_from_linear
-from dante_w.fields import Model
-from dante_w.ray_cache import RayCache, Samples
+from dante_w.model.fields import Model
+from dante_w.rays.ray_cache import RayCache, Samples
 
 #: Samples drawn as one run of neighbours: they share table entries, so memory is touched less often.
 RUN = 16

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import torch
 
-from dante_w import hash_encoding_numba
+from dante_w.model import hash_encoding_numba
 
 #: Equation 4 of the paper: one factor per axis, the first left at 1 for locality in memory.
 PRIMES = (1, 2654435761, 805459861)

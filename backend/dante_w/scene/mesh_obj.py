@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dante_w.errors import BadInput
-from dante_w.mesh_fan import fan
+from dante_w.scene.mesh_fan import fan
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 

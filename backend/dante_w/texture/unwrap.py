@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dante_w.errors import BadInput, OutOfRoom
-from dante_w.mesh import Mesh
+from dante_w.scene.mesh import Mesh
 
 PADDING = 4  #: texels between charts
 _FACES_PER_SECOND = 3000.0  #: measured on one core; only the progress shown depends on it

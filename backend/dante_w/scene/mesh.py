@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from dante_w.errors import BadInput, OutOfRoom
-from dante_w.mesh_glb import parse_glb
-from dante_w.mesh_obj import parse_obj
-from dante_w.mesh_ply import parse_ply
+from dante_w.scene.mesh_glb import parse_glb
+from dante_w.scene.mesh_obj import parse_obj
+from dante_w.scene.mesh_ply import parse_ply
 
 _PARSERS = {".obj": parse_obj, ".ply": parse_ply, ".glb": parse_glb}
 _BROKEN = (

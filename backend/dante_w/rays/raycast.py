@@ -10,7 +10,7 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from dante_w.mesh import Mesh
+from dante_w.scene.mesh import Mesh
 
 #: Rays in one Embree call: enough to amortise it, few enough to spread over threads.
 CHUNK = 1 << 17

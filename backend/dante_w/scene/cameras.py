@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from dante_w.errors import BadInput
-from dante_w.scene_folder import Camera
+from dante_w.scene.scene_folder import Camera
 
 TOLERANCE = 0.01  #: pixels by which a ray may miss the pixel it was cast for
 

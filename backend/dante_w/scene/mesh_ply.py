@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dante_w.errors import BadInput
-from dante_w.mesh_fan import fan
-from dante_w.mesh_obj import Arrays, scan
+from dante_w.scene.mesh_fan import fan
+from dante_w.scene.mesh_obj import Arrays, scan
 
 _KINDS = {
     **dict.fromkeys(("char", "int8"), "i1"),

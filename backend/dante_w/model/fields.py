@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
-from dante_w.hash_encoding import GridSpec, HashGrid
+from dante_w.model.hash_encoding import GridSpec, HashGrid
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from dante_w.color import linear_from_srgb
-from dante_w.fields import Model
-from dante_w.ray_cache import RayCache
+from dante_w.model.fields import Model
+from dante_w.rays.ray_cache import RayCache
 
 #: Samples that the rules look at.
 SAMPLES = 1 << 17

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from dante_w.fields import ModelSpec
-from dante_w.hash_encoding import GridSpec
-from dante_w.optimise import Schedule
+from dante_w.model.fields import ModelSpec
+from dante_w.model.hash_encoding import GridSpec
+from dante_w.model.optimise import Schedule
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dante_w.fields import Model
-from dante_w.optimise import LossTerms, Progress, Schedule, fit, photo_ranges, psnr
-from dante_w.ray_cache import RayCache
+from dante_w.model.fields import Model
+from dante_w.model.optimise import LossTerms, Progress, Schedule, fit, photo_ranges, psnr
+from dante_w.rays.ray_cache import RayCache
 
 #: One photo in this many is held out ...
 ONE_IN = 8

@@ -17,12 +17,12 @@ import numpy as np
 import psutil
 import torch
 
-from dante_w.cameras import directions
 from dante_w.errors import BadInput
-from dante_w.images import Photo, read_photo
-from dante_w.mesh import Mesh
-from dante_w.raycast import Frame3D, Raycaster
-from dante_w.scene_folder import Frame
+from dante_w.rays.raycast import Frame3D, Raycaster
+from dante_w.scene.cameras import directions
+from dante_w.scene.images import Photo, read_photo
+from dante_w.scene.mesh import Mesh
+from dante_w.scene.scene_folder import Frame
 
 #: Surfaces seen at a flatter angle than this cosine are left out: their pixels smear over many texels.
 GRAZING = 0.1

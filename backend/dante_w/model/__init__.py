@@ -1,0 +1,1 @@
+"""Albedo and irradiance fields, and how they are fitted to the photos."""

@@ -1,0 +1,1 @@
+"""Where each pixel meets the mesh, traced once and kept."""

@@ -1,0 +1,1 @@
+"""What comes in: scene folders, COLMAP models, cameras, photos, meshes."""

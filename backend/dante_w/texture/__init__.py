@@ -1,0 +1,1 @@
+"""What goes out: UV charts, coverage, baking, filling."""
