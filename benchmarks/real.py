@@ -67,7 +67,7 @@ def render(options: argparse.Namespace, out: Path) -> None:
         "pose": (turn @ frame.camera_to_world).tolist(),
         "turn": turn.tolist(),
         "samples": 48,
-        "shots": shots,
+        "shots": sorted(shots, key=lambda shot: shot["hdri"] is not None),  # unlit first: no world yet
     }
     listing = out / "shots.json"
     listing.write_text(json.dumps(job, default=str), encoding="utf-8")

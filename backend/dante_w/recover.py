@@ -62,10 +62,11 @@ def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> d
         mark(coverage, uv, footprint * size)
 
     cache = _trace(scene, mesh, visit, staging, progress)
-    terms = LossTerms(not options.no_photometric, options.prior_weight)
+    use_prior = cache.prior is not None and options.prior_weight > 0.0
+    ours = (0.0, 0.0) if use_prior else (preset.white_light, preset.small_offset)
+    terms = LossTerms(not options.no_photometric, options.prior_weight, *ours)
     everything = photo_ranges(cache, np.arange(len(scene.frames)))
     model, score = _fit(cache, spec, terms, options, device, held_out, progress)
-    use_prior = cache.prior is not None and options.prior_weight > 0.0
     gain = torch.ones(3) if use_prior else albedo_gain(model, cache, everything, options.seed).cpu()
 
     @torch.no_grad()

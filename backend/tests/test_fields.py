@@ -13,7 +13,8 @@ def test_colour_is_the_paper_equation():
     albedo = model.albedo(torch.rand(50, 2))
     irradiance = model.irradiance(position, model.embedding[photo])
     expected = model.log_exposure[photo].exp() * albedo * irradiance + model.offset[photo]
-    torch.testing.assert_close(model.colour(albedo, position, photo), expected)
+    colour = model.expose(albedo * model.light(position, photo), photo)
+    torch.testing.assert_close(colour, expected)
 
 
 def test_albedo_is_bounded_and_irradiance_is_not_negative_nor_capped():

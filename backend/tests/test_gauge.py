@@ -22,7 +22,9 @@ def test_exposures_start_where_mean_brightness_is_explained(scene, tmp_path):
     gauge.start_exposures(model, cache)
     samples = cache.samples(np.arange(len(cache)), torch.device("cpu"))
     with torch.no_grad():
-        colour = model.colour(model.albedo(samples.uv), samples.position, samples.photo).mean(1)
+        colour = model.expose(
+            model.albedo(samples.uv) * model.light(samples.position, samples.photo), samples.photo
+        ).mean(1)
     photo = linear_from_srgb(samples.colour).mean(1)
     for k in range(8):
         ratio = colour[samples.photo == k].mean() / photo[samples.photo == k].mean()

@@ -28,12 +28,34 @@ def test_the_loss_is_equations_6_and_7():
     torch.manual_seed(0)
     model, samples = Model(SPEC, 3), some_samples(prior=True)
     albedo = model.albedo(samples.uv)
-    colour = model.colour(albedo, samples.position, samples.photo)
+    colour = model.expose(albedo * model.light(samples.position, samples.photo), samples.photo)
     photometric = (srgb_from_linear(colour) - samples.colour).abs().mean()
     prior = (albedo - linear_from_srgb(samples.prior)).abs().mean()
     torch.testing.assert_close(model_loss(model, samples, LossTerms(True, 0.3)), photometric + 0.3 * prior)
     torch.testing.assert_close(model_loss(model, samples, LossTerms(False, 1.0)), prior)
     torch.testing.assert_close(model_loss(model, samples, LossTerms(True, 0.0)), photometric)
+
+
+def test_tinted_light_and_offsets_cost_what_the_terms_say():
+    torch.manual_seed(0)
+    model, samples = Model(SPEC, 3), some_samples(prior=False)
+    torch.nn.init.normal_(model.offset)
+    plain = model_loss(model, samples, LossTerms())
+    offset = model_loss(model, samples, LossTerms(small_offset=0.5)) - plain
+    torch.testing.assert_close(offset, 0.5 * model.offset[samples.photo].abs().mean())
+    last = model.irradiance.decoder[-1]
+    torch.nn.init.zeros_(last.weight)
+    with torch.no_grad():
+        last.bias[:] = 2.0  # grey light costs nothing
+        grey = model_loss(model, samples, LossTerms(white_light=1.0)) - model_loss(
+            model, samples, LossTerms()
+        )
+        last.bias[:] = torch.log(torch.expm1(torch.tensor([4.0, 2.0, 1.0])))  # softplus gives 4, 2, 1
+        tinted = model_loss(model, samples, LossTerms(white_light=1.0)) - model_loss(
+            model, samples, LossTerms()
+        )
+    assert abs(float(grey)) < 1e-6
+    assert float(tinted) == pytest.approx(2.0 / 3.0 * np.log(2.0) ** 2, rel=1e-2)
 
 
 def test_photos_without_a_prior_add_nothing_to_the_prior_term():

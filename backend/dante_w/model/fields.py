@@ -69,10 +69,13 @@ class Model(nn.Module):
         self.log_exposure = nn.Parameter(torch.zeros(photos, 3))
         self.offset = nn.Parameter(torch.zeros(photos, 3))
 
-    def colour(self, albedo: torch.Tensor, position: torch.Tensor, photo: torch.Tensor) -> torch.Tensor:
-        """Linear colours (N, 3) of surface points with the given albedo, as the given photos would show them."""
-        irradiance = self.irradiance(position, self.embedding[photo])
-        return torch.exp(self.log_exposure[photo]) * (albedo * irradiance) + self.offset[photo]
+    def light(self, position: torch.Tensor, photo: torch.Tensor) -> torch.Tensor:
+        """Irradiance s (N, 3) at positions (N, 3), as the given photos (N,) were taken in."""
+        return self.irradiance(position, self.embedding[photo])
+
+    def expose(self, radiance: torch.Tensor, photo: torch.Tensor) -> torch.Tensor:
+        """Linear colours c (N, 3) of a * s as the given photos' exposure shows them."""
+        return torch.exp(self.log_exposure[photo]) * radiance + self.offset[photo]
 
     def photo_parameters(self) -> list[nn.Parameter]:
         """e_k, w_k and b_k: what belongs to single photos."""

@@ -15,16 +15,26 @@ from dante_w.rays.ray_cache import RayCache, Samples
 
 #: Samples drawn as one run of neighbours: they share table entries, so memory is touched less often.
 RUN = 16
+#: Irradiance this low counts as black, which has no tint.
+DARKNESS = 1e-3
 #: The learning rate falls along a cosine to this fraction.
 FINAL_RATE = 1.0 / 30.0
 
 
 @dataclass(frozen=True)
 class LossTerms:
-    """What is minimised: `photometric` turns Eq. 6 on, `prior_weight` is lambda of Eq. 7."""
+    """What is minimised.
+
+    photometric: Eq. 6 on or off. prior_weight: lambda of Eq. 7.
+    white_light, small_offset: weights of two terms that are not the paper's, for runs without priors. Photos
+    leave open whether a broad tint belongs to the surface or to its light, and whether b_k takes up haze or
+    colour; these say light is nearly white and b_k nearly 0 where the photos do not say otherwise.
+    """
 
     photometric: bool = True
     prior_weight: float = 1.0
+    white_light: float = 0.0
+    small_offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -39,13 +49,22 @@ Progress = Callable[[int, int, float], None]
 
 
 def model_loss(model: Model, samples: Samples, terms: LossTerms) -> torch.Tensor:
-    """|gamma(c) - I| + lambda |a - A'| as a mean over samples and channels; photos without a prior leave out the
-    second term. gamma is the sRGB transfer; albedo is compared in linear colour."""
+    """|gamma(c) - I| + lambda |a - A'| as a mean over samples and channels, and the terms for runs without priors.
+
+    gamma is the sRGB transfer; albedo is compared in linear colour. Photos without a prior leave out the second
+    term.
+    """
     albedo = model.albedo(samples.uv)
     loss = albedo.new_zeros(())
     if terms.photometric:
-        colour = model.colour(albedo, samples.position, samples.photo)
+        light = model.light(samples.position, samples.photo)
+        colour = model.expose(albedo * light, samples.photo)
         loss = loss + (srgb_from_linear(colour) - samples.colour).abs().mean()
+        if terms.white_light > 0.0:
+            log_light = torch.log(light + DARKNESS)
+            loss = loss + terms.white_light * (log_light - log_light.mean(1, keepdim=True)).square().mean()
+        if terms.small_offset > 0.0:
+            loss = loss + terms.small_offset * model.offset[samples.photo].abs().mean()
     if samples.prior is not None and terms.prior_weight > 0.0:
         known = torch.isfinite(samples.prior)
         difference = albedo - linear_from_srgb(torch.where(known, samples.prior, 0.0))
@@ -126,7 +145,8 @@ def psnr(model: Model, cache: RayCache, index: np.ndarray) -> float:
     squared, count = 0.0, 0
     for start in range(0, len(index), 1 << 17):
         samples = cache.samples(index[start : start + (1 << 17)], device)
-        colour = model.colour(model.albedo(samples.uv), samples.position, samples.photo)
+        light = model.light(samples.position, samples.photo)
+        colour = model.expose(model.albedo(samples.uv) * light, samples.photo)
         error = srgb_from_linear(colour).clamp(0.0, 1.0) - samples.colour.clamp(0.0, 1.0)
         squared += float(error.double().square().sum())
         count += error.numel()
