@@ -16,7 +16,7 @@ Where this machine has no Blender with a window, one in a Debian chroot serves, 
     mount -t proc proc CHROOT/proc; mount --bind /dev CHROOT/dev; mount --bind /tmp CHROOT/tmp
     mkdir -p CHROOT/$PWD; mount --bind $PWD CHROOT/$PWD      # the checkout, with its .venv
     mkdir -p CHROOT/BASE; mount --bind BASE CHROOT/BASE      # the Python that .venv was made with, and the scene
-    python3 blender_tests/drive_window.py --shots /tmp/shots --scene FOLDER --backend-python $PWD/.venv/bin/python \\
+    python3 blender_tests/drive_window.py --shots build/shots --scene FOLDER --backend-python $PWD/.venv/bin/python \\
         --blender "chroot CHROOT env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root blender"
 
 DIR, the checkout and FOLDER must have the same path inside and outside; hence the mounts.

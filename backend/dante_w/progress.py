@@ -6,6 +6,7 @@ The time left is the present stage's, at its measured pace, plus what the later 
 from __future__ import annotations
 
 import json
+import math
 import sys
 import threading
 import time
@@ -46,7 +47,7 @@ class Progress:
             "stage": stage,
             "step": step,
             "total": total,
-            "loss": loss,
+            "loss": loss if loss is not None and math.isfinite(loss) else None,
             "seconds_left": self._seconds_left(now, step / total if total else 1.0),
         }
         if now - self._written >= SHORTEST_INTERVAL or step >= total:

@@ -16,6 +16,7 @@ from dante_w import __version__
 from dante_w.color import linear_from_srgb_array
 from dante_w.device import peak_memory, pick_device
 from dante_w.doctor import library_versions
+from dante_w.errors import DanteError
 from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.gauge import albedo_gain, start_exposures
 from dante_w.model.held_out import choose_held_out, held_out_psnr
@@ -67,6 +68,10 @@ def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> d
     terms = LossTerms(not options.no_photometric, options.prior_weight, *ours)
     everything = photo_ranges(cache, np.arange(len(scene.frames)))
     model, score = _fit(cache, spec, terms, options, device, held_out, progress)
+    if not all(bool(torch.isfinite(parameter).all()) for parameter in model.parameters()):
+        raise DanteError(
+            "The fit diverged, so there is no texture; run again with another --seed or --lambda."
+        )
     gain = torch.ones(3) if use_prior else albedo_gain(model, cache, everything, options.seed).cpu()
 
     @torch.no_grad()

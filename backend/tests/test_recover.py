@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -225,6 +226,15 @@ def test_memory_and_disk_have_their_own_exit_code(scene, tmp_path, capsys, monke
         assert not (tmp_path / "out").exists()
     monkeypatch.setattr(recover, "_trace", fail(ZeroDivisionError("a bug")))
     assert run(capsys, "recover", scene, "--out", tmp_path / "out")[0] == 1
+
+
+def test_a_fit_that_diverges_is_no_success(scene, tmp_path, capsys, monkeypatch):
+    small = presets.PRESETS["standard"]
+    wild = dataclasses.replace(small, schedule=Schedule(20, 2048, float("inf")))
+    monkeypatch.setitem(presets.PRESETS, "standard", wild)
+    code, events = run(capsys, "recover", scene, "--out", tmp_path / "out")
+    assert code == 1 and "diverged" in events[-1]["message"]
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGTERM to handle")
