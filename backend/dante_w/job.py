@@ -69,7 +69,9 @@ def _work(command: str, options: argparse.Namespace, progress: Progress) -> dict
 
     progress.update("scene", 0, 1)
     staging = stage(options.out)
-    report: dict[str, Any] = getattr(recover, command)(options, staging, progress)
+    report: dict[str, Any] = {"recover": recover.recover, "average": recover.average}[command](
+        options, staging, progress
+    )
     return report
 
 

@@ -16,7 +16,7 @@ from dante_w import __version__
 from dante_w.color import linear_from_srgb_array
 from dante_w.device import peak_memory, pick_device
 from dante_w.doctor import library_versions
-from dante_w.errors import DanteError
+from dante_w.errors import BadInput, DanteError
 from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.gauge import albedo_gain, start_exposures
 from dante_w.model.held_out import choose_held_out, held_out_psnr
@@ -30,31 +30,32 @@ from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import Mesh, write_obj
 from dante_w.scene.scene_folder import Scene
 from dante_w.texture.average import PhotoAverage
-from dante_w.texture.bake import bake
+from dante_w.texture.bake import Texels, bake
 from dante_w.texture.coverage import Coverage, empty_coverage, mark
 from dante_w.texture.unwrap import unwrap
 from dante_w.texture.uvmap import check_uvs
 
 #: Texels beyond each chart that are painted, so that mipmaps and bilinear lookups do not bleed.
 GUTTER = 16
-#: Texels evaluated at once, and what a run on two cores manages in a second: first guesses for the time left.
+#: What a run on two cores manages in a second: first guesses for the time left.
 RAYS_PER_SECOND, SAMPLES_PER_SECOND, TEXELS_PER_SECOND = 2e6, 2e5, 2e6
 _TEXEL_TYPES = {"png": np.uint8, "png16": np.uint16, "exr": np.float16}
-
-Texels = Callable[[np.ndarray], np.ndarray]
 
 
 def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
     """Recover the albedo texture into `staging`; returns the report. `options` are the command's.
 
     Raises:
-        BadInput: the scene cannot be used; see `load.load_scene`, `uvmap.check_uvs` and `ray_cache.trace`.
+        BadInput: the scene cannot be used, or there is nothing to fit to; see `load.load_scene`, `uvmap.check_uvs` and `ray_cache.trace`.
     """
     device = pick_device(options.device)
     preset = PRESETS[options.preset]
     spec = equal_bands(preset.model) if options.equal_bands else preset.model
     size = options.texture_size or preset.texture_size
     scene, mesh = _prepare(options, options.priors, size, staging, progress)
+    use_prior = options.prior_weight > 0.0 and any(frame.albedo for frame in scene.frames)
+    if options.no_photometric and not use_prior:
+        raise BadInput("--no-photometric leaves only the priors, and there are none; add --priors DIR.")
     held_out = choose_held_out(len(scene.frames))
     _expect(progress, scene, size, preset.schedule, preset.final_pass if len(held_out) else None)
     coverage = empty_coverage(size, size)
@@ -63,7 +64,6 @@ def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> d
         mark(coverage, uv, footprint * size)
 
     cache = _trace(scene, mesh, visit, staging, progress)
-    use_prior = cache.prior is not None and options.prior_weight > 0.0
     ours = (0.0, 0.0) if use_prior else (preset.white_light, preset.small_offset)
     terms = LossTerms(not options.no_photometric, options.prior_weight, *ours)
     everything = photo_ranges(cache, np.arange(len(scene.frames)))

@@ -182,6 +182,7 @@ def broken_scenes(folder: Path) -> dict[str, tuple[list[str], str]]:
         re.sub(r"v (\d) (\d) 0", r"v 9\1 9\2 0", SQUARE)
     )
     case("no such priors", "priors", "--priors", str(folder / "nowhere"))
+    case("nothing to fit to", "--priors", "--no-photometric")
     cases["no scene"] = ([str(folder / "nothing")], "nothing")
     if not os.path.exists("/dev/nvidiactl"):
         case("no such device", "--device cuda", "--device", "cuda")

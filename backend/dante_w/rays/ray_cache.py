@@ -29,7 +29,7 @@ GRAZING = 0.1
 #: The largest finite half; brighter encoded values are stored as this.
 HALF_MAX = 65504.0
 #: Pixels made into rays at once.
-ROWS_OF_PIXELS = 1 << 20
+PIXELS_AT_ONCE = 1 << 20
 _FIELDS = {"face": (np.int32, ()), "bary": (np.uint16, (2,)), "colour": (np.float16, (3,))}
 
 
@@ -217,8 +217,8 @@ def _trace_photo(
     rotation = frame.camera_to_world[:3, :3]
     origin = frame3d.normalise(frame.camera_to_world[:3, 3])
     parts = []
-    for start in range(0, len(foreground), ROWS_OF_PIXELS):
-        pixel = foreground[start : start + ROWS_OF_PIXELS]
+    for start in range(0, len(foreground), PIXELS_AT_ONCE):
+        pixel = foreground[start : start + PIXELS_AT_ONCE]
         centres = np.column_stack([pixel % frame.camera.width, pixel // frame.camera.width]) + 0.5
         rays = directions(frame.camera, centres) @ rotation.T
         hits = caster.cast(origin, rays)
