@@ -5,6 +5,7 @@ Needs nothing but the standard library of Python 3.8 or newer. Every environment
 environment beside this file, made from pinned versions the first time something asks for it:
 
     .venv           the backend: torch, numba, numpy, ... (Python 3.11 to 3.13)
+    .venv-bench     the backend and what only benchmarks/ needs
     .venv-bpy-4.5   Blender 4.5 LTS as a module           (Python 3.11)
     .venv-bpy-5.2   Blender 5.2 LTS as a module           (Python 3.13)
 """
@@ -35,6 +36,7 @@ class Environment(NamedTuple):
     name: str
     pythons: tuple[str, ...]
     requirements: tuple[str, ...]
+    without_dependencies: tuple[str, ...] = ()
     editable: str = ""
 
     @property
@@ -47,6 +49,13 @@ BACKEND = Environment(
     ".venv",
     ("3.11", "3.12", "3.13"),
     ("backend/requirements.txt", "backend/requirements-dev.txt"),
+    editable="backend",
+)
+BENCH = Environment(
+    ".venv-bench",
+    BACKEND.pythons,
+    ("backend/requirements.txt", "benchmarks/requirements.txt"),
+    without_dependencies=("benchmarks/requirements-no-deps.txt",),
     editable="backend",
 )
 BPY_45 = Environment(".venv-bpy-4.5", ("3.11",), ("blender_tests/requirements-4.5.txt",))
@@ -63,7 +72,8 @@ class Unavailable(Exception):
 def make(environment: Environment) -> Path:
     """Make `environment` unless its stamp says that it is whole and up to date; returns its Python."""
     python = find_python(environment.pythons)
-    pins = "".join((ROOT / name).read_text(encoding="utf-8") for name in environment.requirements)
+    lists = environment.requirements + environment.without_dependencies
+    pins = "".join((ROOT / name).read_text(encoding="utf-8") for name in lists)
     stamp = ROOT / environment.name / "dev-stamp.txt"
     wanted = hashlib.sha256(f"{version(python)}\n{pins}".encode()).hexdigest()
     if stamp.is_file() and stamp.read_text() == wanted and environment.python.exists():
@@ -72,9 +82,11 @@ def make(environment: Environment) -> Path:
     say(f"{environment.name}: new, Python {version(python)}")
     run([*python, "-m", "venv", "--clear", str(ROOT / environment.name)])
     pip = [str(environment.python), "-m", "pip", "--disable-pip-version-check", "install", "-qq"]
-    say(f"{environment.name}: installing {', '.join(environment.requirements)}")
+    say(f"{environment.name}: installing {', '.join(lists)}")
     files = [part for name in environment.requirements for part in ("-r", name)]
-    run([*pip, *(torch_options() if environment is BACKEND else []), *files])
+    run([*pip, *(torch_options() if environment.editable else []), *files])
+    for name in environment.without_dependencies:
+        run([*pip, "--no-deps", "-r", name])
     if environment.editable:
         run([*pip, "--no-build-isolation", "--no-deps", "-e", environment.editable])
     stamp.write_text(wanted)  # last: an environment without a stamp is not whole
@@ -137,17 +149,17 @@ def make_bpy() -> Path:
 
 def env() -> int:
     """Make every environment."""
-    for environment in (BACKEND, BPY_45, BPY_52):
+    for environment in (BACKEND, BENCH, BPY_45, BPY_52):
         say(f"{environment.name} is ready: {make(environment)}")
     return 0
 
 
-def bench(name: str, options: list[str]) -> int:
-    """Run `benchmarks/NAME.py` in the backend's environment; its Cycles parts find Blender."""
+def bench(name: str, options: list[str], environment: Environment = BENCH) -> int:
+    """Run `benchmarks/NAME.py` in the benchmarks' environment; its Cycles parts find Blender."""
     script = ROOT / "benchmarks" / f"{name}.py"
     if not script.is_file():
         raise Unavailable(f"there is no {script.relative_to(ROOT)}.")
-    python, bpy_python = make(BACKEND), make_bpy()
+    python, bpy_python = make(environment), make_bpy()
     child = {**child_environment(), "DANTEW_BPY_PYTHON": str(bpy_python)}
     return subprocess.call([str(python), str(script), *options], env=child)
 
@@ -162,6 +174,7 @@ def test(fast: bool, options: list[str]) -> int:
         Part("ruff format", [python, "-m", "ruff", "format", "--check", "."], ROOT),
         Part("mypy", [python, "-m", "mypy"], ROOT / "backend"),
         Part("backend", [python, "-m", "pytest", *pytest_options], ROOT / "backend"),
+        Part("benchmarks", [str(make(BENCH)), "-m", "pytest", *pytest_options], ROOT / "benchmarks"),
     ]
     results = [part.run(child, bool(options)) for part in parts]
     for environment, name in ((BPY_45, "bpy 4.5"), (BPY_52, "bpy 5.2")):
@@ -274,7 +287,7 @@ def main() -> int:
         if arguments.command == "bench":
             return bench(arguments.name, arguments.rest)
         if arguments.command == "demo":
-            return bench("demo", rest)
+            return bench("demo", rest, BACKEND)
         return env()
     except Unavailable as error:
         say(f"stopped: {error}")

@@ -12,11 +12,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-from command import ROOT, blender, dante_w
+from measure.command import ROOT, blender, dante_w
 from gigalit import score
-from metrics import psnr
-from pictures import PAPER, caption, grid, read, read_on_paper, trim, write
-from views import linear_texture, viewer_of
+from measure.metrics import psnr
+from measure.pictures import PAPER, caption, grid, read, read_on_paper, trim, write
+from measure.views import linear_texture, viewer_of
 
 HELD_OUT = "sunset"
 SCENE = [

@@ -14,10 +14,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from command import ROOT, dante_w
-from metrics import psnr, psnr_after_gain
-from pictures import read
-from views import linear_texture, viewer_of
+from measure.command import ROOT, dante_w
+from measure.metrics import psnr, psnr_after_gain
+from measure.pictures import read
+from measure.views import linear_texture, viewer_of
 
 #: A picture, the truth and a mask (H, W) to one number, for each column of the table.
 METRICS: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray], float]] = {

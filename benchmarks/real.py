@@ -11,9 +11,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-from command import blender, dante_w
+from measure.command import blender, dante_w
 from dante_w.scene.load import load_scene
-from pictures import caption, grid, read, write
+from measure.pictures import caption, grid, read, write
 
 WIDTH = 560
 TEXTURES = {"averaged": "Photos averaged", "recovered": "Recovered albedo"}

@@ -1,6 +1,6 @@
 """Render a GigaLit-style scene folder with Cycles: photos under several lightings, and the truth.
 
-    python benchmarks/render_scene.py OUT [--mesh M --texture T] [--photos 40] ...
+    python benchmarks/cycles/render_scene.py OUT [--mesh M --texture T] [--photos 40] ...
 
 Runs in an environment with bpy. Without a mesh it renders the demo's own object. Each photo has a
 camera of its own on the upper hemisphere, one of a few lightings (HDRI, rotation, perhaps a sun lamp)

@@ -10,8 +10,8 @@ from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.mesh import read_mesh
 from dante_w.scene.scene_folder import Camera, read_scene
-from metrics import linear_from_srgb, srgb_from_linear
-from pictures import read
+from measure.metrics import linear_from_srgb, srgb_from_linear
+from measure.pictures import read
 
 RAYS = 3  # along each side of a pixel: edges in the texture are averaged as a renderer does
 

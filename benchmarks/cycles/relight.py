@@ -1,6 +1,6 @@
 """Render a scene folder's mesh with textures of your choice, under its held-out HDRIs. Needs bpy.
 
-    python benchmarks/relight.py SCENE --texture NAME=albedo.png ... --out DIR [--views 0 3] [--hdris H ...]
+    python benchmarks/cycles/relight.py SCENE --texture NAME=albedo.png ... --out DIR [--views 0 3] [--hdris H ...]
 
 Views, lightings and exposures are those of the scene's own test views, so that DIR/NAME_HDRI_NNN.png
 can be held against test/relit_HDRI_NNN.png.

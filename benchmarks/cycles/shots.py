@@ -1,6 +1,6 @@
 """Render a list of shots of one textured mesh with Cycles. Needs bpy; `real.py` writes the list.
 
-    python benchmarks/shots.py LIST.json
+    python benchmarks/cycles/shots.py LIST.json
 
 LIST: mesh, width, height, focal (pixels), centre (pixels), pose (4 x 4 OpenGL camera-to-world), turn (4 x 4,
 puts the mesh upright), samples, and

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def dante_w(arguments: list[str], out: Path) -> tuple[dict[str, Any], float]:
@@ -30,10 +30,10 @@ def dante_w(arguments: list[str], out: Path) -> tuple[dict[str, Any], float]:
 
 
 def blender(script: str, arguments: list[str]) -> None:
-    """Run benchmarks/SCRIPT in the environment with bpy that DANTEW_BPY_PYTHON names (dev.py sets it)."""
+    """Run benchmarks/cycles/SCRIPT in the environment with bpy that DANTEW_BPY_PYTHON names (dev.py sets it)."""
     python = os.environ.get("DANTEW_BPY_PYTHON")
     if not python:
         sys.exit("DANTEW_BPY_PYTHON names no Python with bpy; start this with `python3 dev.py bench NAME`.")
-    code = subprocess.call([python, str(ROOT / "benchmarks" / script), *arguments])
+    code = subprocess.call([python, str(ROOT / "benchmarks" / "cycles" / script), *arguments])
     if code:
-        sys.exit(f"benchmarks/{script} ended with {code}")
+        sys.exit(f"benchmarks/cycles/{script} ended with {code}")
