@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 from measure.command import ROOT, blender, dante_w
-from gigalit import score
 from measure.metrics import psnr
 from measure.pictures import PAPER, caption, grid, read, read_on_paper, trim, write
+from measure.score import score
 from measure.views import linear_texture, viewer_of
 
 HELD_OUT = "sunset"

@@ -1,108 +1,199 @@
-"""Albedo accuracy on GigaLit-style objects: `python3 dev.py bench gigalit DIR [--objects A B] [--json]`.
+"""The GigaLit-style benchmark: `python3 dev.py bench gigalit DIR [--presets ...] [--priors ...] [--json]`.
 
-DIR holds scene folders as `render_scene.py` writes them. Each method makes a texture from the training
-photos; the test cameras look at it, and the true albedo they saw is the measure. Prints a Markdown table.
+DIR holds scene folders as `make_gigalit` writes them. Every method makes a texture from the training photos;
+the test cameras look at it, Cycles relights it under HDRIs no photo saw, and the truth is the measure.
+Prints Markdown tables (mean and per object); finished work is kept in --out, and used again as long as
+neither the scene nor the code behind it has changed. Priors are stand-ins made from the true albedo.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-from measure.command import ROOT, dante_w
-from measure.metrics import psnr, psnr_after_gain
-from measure.pictures import read
-from measure.views import linear_texture, viewer_of
+from measure.command import ROOT, blender
+from measure.machine import provenance
+from measure.metrics import psnr
+from measure.perceptual import flip, lpips, ssim
+from measure.score import View, albedo_views, compare, file_views
+from measure.sheet import Column, write_sheet
+from measure.tables import markdown
+from methods.rows import NO_PRIOR, Method, make, methods, priors_of, texture_of
+from methods.stand_in_prior import STRENGTHS
 
-#: A picture, the truth and a mask (H, W) to one number, for each column of the table.
-METRICS: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray], float]] = {
-    "PSNR": psnr,
-    "PSNR after gain": psnr_after_gain,
-}
+METRICS = {"PSNR": psnr, "SSIM": ssim, "LPIPS": lpips, "FLIP": flip}
+#: How the names of the rows begin that are drawn for each object.
+SHOWN = ("photos averaged", "gradient-domain", "raw prior", "ours full")
 
 
 @dataclass(frozen=True)
 class Row:
-    """One method on one object: each metric's mean over the test views, and the seconds it took."""
+    """One method on one object: its scores in albedo and relighting, and the seconds to its texture."""
 
     object: str
     method: str
-    scores: dict[str, float]
+    prior: str
+    seconds: float
+    albedo: dict[str, float]
+    relit: dict[str, float]
+
+
+class Made(NamedTuple):
+    """A row's method, the folder of its result, and the seconds that it took."""
+
+    method: Method
+    out: Path
     seconds: float
 
 
 def main() -> None:
     options = parse()
-    methods: dict[str, list[str]] = {"photos averaged": ["average"]}
-    for preset in options.preset:
-        methods[f"ours, {preset}"] = ["recover", "--preset", preset]
-
-    folders = sorted(file.parent for file in options.dir.glob("*/transforms_test.json"))
+    scenes = sorted(file.parent for file in options.dir.glob("*/transforms_test.json"))
     if options.objects:
-        folders = [folder for folder in folders if folder.name in options.objects]
-    if not folders:
+        scenes = [scene for scene in scenes if scene.name in options.objects]
+    if not scenes:
         sys.exit(f"{options.dir}: no such objects here; name a folder of scene folders.")
-    rows = []
-    for folder in folders:
-        for method, arguments in methods.items():
-            out = options.out / folder.name / method.replace(", ", "-").replace(" ", "-")
-            _, seconds = dante_w([*arguments, str(folder), "--mesh", str(folder / "mesh.obj")], out)
-            rows.append(Row(folder.name, method, score(out, folder), seconds))
-            print(f"{folder.name}, {method}: {rows[-1].scores}, {seconds:.0f} s", file=sys.stderr, flush=True)
-    rows += means(rows, list(methods))
-    print(table(rows))
+    rows = list(methods(options.presets, options.priors))
+    results = []
+    for number, scene in enumerate(scenes, 1):
+        folder = options.out / scene.name
+        made: list[Made] = []
+        for count, method in enumerate(rows, 1):
+            out = folder / method.key(scene)
+            say(f"object {number}/{len(scenes)} {scene.name}, row {count}/{len(rows)}: {describe(method)}")
+            made.append(Made(method, out, make(method, scene, out)))
+        views = relit_views(scene, options.relit_views)
+        relit = relight(scene, made, views, options.hdris or beside(options.dir))
+        for row in made:
+            results.append(rated(row, scene, relit, views))
+            say(f"{scene.name}, {describe(row.method)}: {results[-1].albedo['PSNR']:.2f} dB")
+        sheet(options.out / f"{scene.name}.jpg", scene, made, relit)
+    facts = provenance()
+    text = markdown(results, facts)
+    print(text)
+    (options.out / "gigalit.md").write_text(text + "\n", encoding="utf-8")
+    content = {"made_with": facts, "rows": [asdict(row) for row in results]}
+    (options.out / "gigalit.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
     if options.json:
-        print(json.dumps({"rows": [asdict(row) for row in rows]}))
+        print(json.dumps(content))
 
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("dir", type=Path, help="folder of scene folders")
-    parser.add_argument("--objects", nargs="+", help="names; without it, all")
-    parser.add_argument("--preset", nargs="+", default=["standard"])
-    parser.add_argument("--out", type=Path, default=ROOT / "build" / "gigalit", help="where the textures go")
-    parser.add_argument("--json", action="store_true", help="the last line is one JSON object")
+    add = parser.add_argument
+    add("dir", type=Path, help="folder of scene folders")
+    add("--objects", nargs="+", help="names; without it, all")
+    add(
+        "--presets",
+        nargs="+",
+        default=["draft", "standard", "high"],
+        help="`paper` takes hours without a GPU",
+    )
+    add("--priors", nargs="+", default=[NO_PRIOR, *STRENGTHS], choices=[NO_PRIOR, *STRENGTHS])
+    add("--hdris", type=Path, help="folder of the HDRIs; without it, DIR/../hdri or Blender's own")
+    add("--relit-views", type=int, default=4, help="how many test views are relit, under each HDRI")
+    add("--out", type=Path, default=ROOT / "build" / "gigalit", help="where everything goes")
+    add("--json", action="store_true", help="the last line is one JSON object")
     return parser.parse_args()
 
 
-def score(result: Path, scene: Path) -> dict[str, float]:
-    """Every metric of a result's albedo, mean over the scene's test views."""
-    viewer, texture = viewer_of(result, scene), linear_texture(result)
-    values: dict[str, list[float]] = {name: [] for name in METRICS}
-    for index, file in enumerate(viewer.truth):
-        truth, alpha = read(file)
-        picture, full = viewer.view(texture, index)
-        mask = full & (alpha > 0.999)
-        for name, metric in METRICS.items():
-            values[name].append(metric(picture, truth, mask))
-    return {name: float(np.mean(column)) for name, column in values.items()}
+def relight(scene: Path, made: list[Made], views: Sequence[int], hdris: Path | None) -> Path:
+    """Render what is missing of every row under the scene's held-out HDRIs; returns the pictures' folder."""
+    out = made[0].out.parent / "relit"
+    textures, pictures = [], []
+    for method, result, _ in made:
+        if method.tool == "raw prior":
+            pictures.append(f"{method.slug}={priors_of(method, scene, result) / 'test'}")
+        else:
+            textures.append(f"{method.slug}={texture_of(method, scene, result)}")
+    arguments = [str(scene), "--out", str(out), "--views", *map(str, views), "--texture", *textures]
+    if pictures:
+        arguments += ["--pictures", *pictures]
+    if hdris is not None:
+        arguments += ["--hdris", str(hdris)]
+    blender("relight.py", arguments)
+    return out
 
 
-def means(rows: list[Row], methods: list[str]) -> list[Row]:
-    """One more row per method: the mean over the objects."""
-    result = []
-    for method in methods:
-        own = [row for row in rows if row.method == method]
-        scores = {name: float(np.mean([row.scores[name] for row in own])) for name in METRICS}
-        result.append(Row("mean", method, scores, float(np.mean([row.seconds for row in own]))))
-    return result
+def rated(row: Made, scene: Path, relit: Path, views: Sequence[int]) -> Row:
+    """The scores of one finished row."""
+    method, out, seconds = row
+    seen = (relit / f"{method.slug}.inputs").read_bytes() + bytes(views) + code_of_scores()
+    note = out / f"scores-{hashlib.sha256(seen).hexdigest()[:10]}.json"
+    if not note.is_file():
+        scores = {
+            "albedo": compare(_albedo(method, scene, out), METRICS),
+            "relit": compare(_relit(method, scene, relit, views), METRICS),
+        }
+        note.write_text(json.dumps(scores), encoding="utf-8")
+    scores = json.loads(note.read_text(encoding="utf-8"))
+    return Row(scene.name, method.name, method.prior, seconds, scores["albedo"], scores["relit"])
 
 
-def table(rows: list[Row]) -> str:
-    """The rows as a Markdown table."""
-    lines = [
-        f"| object | method | {' | '.join(METRICS)} | seconds |",
-        f"|---|---|{'---:|' * len(METRICS)}---:|",
+def sheet(file: Path, scene: Path, made: list[Made], relit: Path) -> None:
+    """Draw the first test view of the rows worth looking at."""
+    columns, truth, relit_truth = [], None, None
+    for method, out, _ in made:
+        if method.name.startswith(SHOWN):
+            truth, lit = _albedo(method, scene, out)[0], _relit(method, scene, relit, [0])[0]
+            relit_truth = lit.truth
+            note = "no prior" if method.prior == NO_PRIOR else f"{method.prior} stand-in"
+            columns.append(Column(method.name.partition(",")[0], note, truth.picture, lit.picture))
+    if truth is not None and relit_truth is not None:
+        write_sheet(file, truth, relit_truth, columns)
+
+
+def _albedo(method: Method, scene: Path, out: Path) -> list[View]:
+    if method.tool == "raw prior":
+        truths = sorted((scene / "test").glob("albedo_*.png"))
+        return file_views([priors_of(method, scene, out) / "test" / file.name for file in truths], truths)
+    return albedo_views(texture_of(method, scene, out) if method.tool == "truth" else out, scene)
+
+
+def _relit(method: Method, scene: Path, relit: Path, views: Sequence[int]) -> list[View]:
+    frames = test_frames(scene)
+    pairs = [
+        (relit / f"{method.slug}_{hdri}_{index:03}.png", scene / file)
+        for index in views
+        for hdri, file in frames[index]["relit"].items()
     ]
-    for row in rows:
-        scores = " | ".join(f"{row.scores[name]:.2f}" for name in METRICS)
-        lines.append(f"| {row.object} | {row.method} | {scores} | {row.seconds:.0f} |")
-    return "\n".join(lines)
+    return file_views([ours for ours, _ in pairs], [truth for _, truth in pairs])
+
+
+def relit_views(scene: Path, count: int) -> list[int]:
+    """Up to `count` test views that have relit pictures, evenly spread."""
+    lit = [index for index, frame in enumerate(test_frames(scene)) if frame.get("relit")]
+    return [lit[i] for i in sorted({round(i) for i in np.linspace(0, len(lit) - 1, min(count, len(lit)))})]
+
+
+def test_frames(scene: Path) -> list[dict[str, Any]]:
+    return list(json.loads((scene / "transforms_test.json").read_text(encoding="utf-8"))["frames"])
+
+
+def beside(folder: Path) -> Path | None:
+    """The folder of HDRIs beside a folder of scenes, if there is one."""
+    hdris = folder.resolve().parent / "hdri"
+    return hdris if hdris.is_dir() else None
+
+
+def code_of_scores() -> bytes:
+    names = ("score", "metrics", "perceptual", "views")
+    return b"".join((ROOT / "benchmarks/measure" / f"{name}.py").read_bytes() for name in names)
+
+
+def describe(method: Method) -> str:
+    return method.name if method.prior == NO_PRIOR else f"{method.name} [{method.prior} stand-in]"
+
+
+def say(text: str) -> None:
+    print(f"== {text}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-from measure.command import blender, dante_w
 from dante_w.scene.load import load_scene
+from measure.command import blender, dante_w
 from measure.pictures import caption, grid, read, write
 
 WIDTH = 560

@@ -9,7 +9,7 @@ import bpy
 import pytest
 from conftest import HERE, ROOT
 
-from dante_w_addon import job, material
+from dante_w_addon import job, material, panels
 
 
 def finish(seconds=20.0):
@@ -42,10 +42,28 @@ def test_to_done(addon, standin, scene, tmp_path, monkeypatch):
     texture = cube.active_material.node_tree.nodes.active.image
     assert texture.packed_file and texture.colorspace_settings.name == "sRGB"
     assert [round(255 * value) for value in texture.pixels[:3]] == [200, 120, 40]
+    assert panels.expectation(progress.expected) == "About 40 s, 25 dB on test objects"
+    assert progress.stage == "optimise", "an expectation is not a stage"
     report = material.report_of(cube)
+    assert ("Took (expected)", "42 s (40 s)") in panels.facts(report)
     assert report["python_variables"] == [], "the environment was not stripped"
     assert report["arguments"][report["arguments"].index("--preset") + 1] == "standard"
     assert (tmp_path / "dante_w" / "Cube" / "result" / "albedo.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("expected", "said"),
+    [
+        ({}, ""),
+        ({"total_seconds": None}, ""),
+        ({"total_seconds": 200.0}, "About 3 min"),
+        ({"total_seconds": 20.0, "albedo_psnr_after_gain": None}, "About 20 s"),
+    ],
+)
+def test_what_the_backend_leaves_open_is_left_out(expected, said):
+    assert panels.expectation(expected) == said
+    lines = dict(panels.facts({"seconds": {"bake": 1.0}, "expected": expected}))
+    assert ("Took" in lines) == (said == "")
 
 
 def test_options_reach_the_backend(addon, standin, scene, tmp_path):

@@ -141,8 +141,29 @@ def facts(report: dict) -> list[tuple[str, str]]:
     if isinstance(report.get("texture_size"), int):
         lines.append(("Texture", f"{report['texture_size']} x {report['texture_size']}"))
     if isinstance(report.get("seconds"), dict):
-        lines.append(("Took", duration(sum(report["seconds"].values()))))
+        took = duration(sum(report["seconds"].values()))
+        seconds = _total(report.get("expected"))
+        if seconds is None:
+            lines.append(("Took", took))
+        else:
+            lines.append(("Took (expected)", f"{took} ({duration(seconds)})"))
     return lines
+
+
+def expectation(expected: dict) -> str:
+    """The run's expectation in one line: its whole time and what the preset reached elsewhere; empty if unsaid."""
+    seconds = _total(expected)
+    if seconds is None:
+        return ""
+    reached = expected.get("albedo_psnr_after_gain")
+    if not (isinstance(reached, dict) and isinstance(reached.get("mean"), (int, float))):
+        return f"About {duration(seconds)}"
+    return f"About {duration(seconds)}, {reached['mean']:.0f} dB on test objects"
+
+
+def _total(expected: object) -> float | None:
+    seconds = expected.get("total_seconds") if isinstance(expected, dict) else None
+    return seconds if isinstance(seconds, (int, float)) else None
 
 
 def duration(seconds: float) -> str:
@@ -161,6 +182,9 @@ def _draw_progress(context: bpy.types.Context, layout: bpy.types.UILayout, recov
         factor=progress.fraction, text=f"{name}  {progress.fraction:.0%}" if progress.total else name
     )
     column = layout.column(align=True)
+    expected = expectation(progress.expected)
+    if expected:
+        column.label(text=expected, icon="INFO")
     column.label(text=f"Stage {number} of {len(STAGES)}")
     if progress.seconds_left is not None:
         column.label(text=f"{duration(progress.seconds_left)} left", icon="TIME")

@@ -173,6 +173,7 @@ class Progress:
     total: float = 0.0
     loss: float | None = None
     seconds_left: float | None = None
+    expected: dict[str, Any] = field(default_factory=dict)
     out: str = ""
     report: dict[str, Any] = field(default_factory=dict)
     code: int = 0
@@ -206,6 +207,8 @@ class Progress:
             self.out, self.report = str(message.get("out", "")), dict(message.get("report") or {})
         elif message["stage"] == "error":
             self.code, self.message = int(message.get("code", 1)), str(message.get("message", ""))
+        elif message["stage"] == "expected":
+            self.expected = {key: value for key, value in message.items() if key != "stage"}
         else:
             self.stage = str(message["stage"])
             self.step, self.total = _number(message.get("step")) or 0.0, _number(message.get("total")) or 0.0

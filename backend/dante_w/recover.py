@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +18,20 @@ from dante_w.color import linear_from_srgb_array
 from dante_w.device import peak_memory, pick_device
 from dante_w.doctor import library_versions
 from dante_w.errors import BadInput, DanteError
+from dante_w.expectation import QUALITY, Expectation, Work, predict, since_start
 from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.gauge import albedo_gain, start_exposures
 from dante_w.model.held_out import choose_held_out, held_out_psnr
-from dante_w.model.optimise import LossTerms, Schedule, fit, photo_ranges
+from dante_w.model.optimise import LossTerms, fit, photo_ranges
 from dante_w.model.presets import PRESETS, equal_bands
+from dante_w.pace import Fitting, Texture, measure
 from dante_w.progress import Progress
 from dante_w.rays.ray_cache import RayCache, trace
 from dante_w.result_folder import REPORT
 from dante_w.scene.images import write_exr, write_png
 from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import Mesh, write_obj
-from dante_w.scene.scene_folder import Scene
+from dante_w.scene.scene_folder import Frame, Scene
 from dante_w.texture.average import PhotoAverage
 from dante_w.texture.bake import Texels, bake
 from dante_w.texture.coverage import Coverage, empty_coverage, mark
@@ -37,8 +40,6 @@ from dante_w.texture.uvmap import check_uvs
 
 #: Texels beyond each chart that are painted, so that mipmaps and bilinear lookups do not bleed.
 GUTTER = 16
-#: What a run on two cores manages in a second: first guesses for the time left.
-RAYS_PER_SECOND, SAMPLES_PER_SECOND, TEXELS_PER_SECOND = 2e6, 2e5, 2e6
 _TEXEL_TYPES = {"png": np.uint8, "png16": np.uint16, "exr": np.float16}
 
 
@@ -56,22 +57,24 @@ def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> d
     use_prior = options.prior_weight > 0.0 and any(frame.albedo for frame in scene.frames)
     if options.no_photometric and not use_prior:
         raise BadInput("--no-photometric leaves only the priors, and there are none; add --priors DIR.")
+    ours = (0.0, 0.0) if use_prior else (preset.white_light, preset.small_offset)
+    terms = LossTerms(not options.no_photometric, options.prior_weight, *ours)
     held_out = choose_held_out(len(scene.frames))
-    _expect(progress, scene, size, preset.schedule, preset.final_pass if len(held_out) else None)
+    fitting = Fitting(spec, terms, preset.schedule.batch, device)
+    expected = _expect(options, scene, mesh, held_out, size, fitting, staging, progress)
     coverage = empty_coverage(size, size)
 
     def visit(uv: np.ndarray, footprint: np.ndarray, _: np.ndarray) -> None:
         mark(coverage, uv, footprint * size)
 
     cache = _trace(scene, mesh, visit, staging, progress)
-    ours = (0.0, 0.0) if use_prior else (preset.white_light, preset.small_offset)
-    terms = LossTerms(not options.no_photometric, options.prior_weight, *ours)
     everything = photo_ranges(cache, np.arange(len(scene.frames)))
     model, score = _fit(cache, spec, terms, options, device, held_out, progress)
     if not all(bool(torch.isfinite(parameter).all()) for parameter in model.parameters()):
         raise DanteError(
             "The fit diverged, so there is no texture; run again with another --seed or --lambda."
         )
+    progress.update("bake", 0.0, 1.0)
     gain = torch.ones(3) if use_prior else albedo_gain(model, cache, everything, options.seed).cpu()
 
     @torch.no_grad()
@@ -94,6 +97,7 @@ def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> d
         albedo_gain=[round(float(g), 4) for g in gain],
         coverage=seen,
         texture_size=size,
+        expected=expected,
     )
 
 
@@ -101,7 +105,9 @@ def average(options: argparse.Namespace, staging: Path, progress: Progress) -> d
     """Average the photos on the texture, light and all: the baseline. Same files and errors as `recover`."""
     size = options.texture_size or PRESETS["standard"].texture_size
     scene, mesh = _prepare(options, None, size, staging, progress)
-    _expect(progress, scene, size)
+    work = Work(len(scene.frames), _pixels(scene.frames), size**2)
+    image = Texture(size, _TEXEL_TYPES[options.format], GUTTER)
+    _begin(progress, predict(measure(scene.frames, mesh, image, staging), work))
     coverage, mean = empty_coverage(size, size), PhotoAverage(size, size)
 
     def visit(uv: np.ndarray, footprint: np.ndarray, srgb: np.ndarray) -> None:
@@ -134,17 +140,47 @@ def _prepare(
 
 
 def _expect(
-    progress: Progress,
+    options: argparse.Namespace,
     scene: Scene,
+    mesh: Mesh,
+    held_out: np.ndarray,
     size: int,
-    schedule: Schedule | None = None,
-    final_pass: Schedule | None = None,
-) -> None:
-    """First guesses of the seconds each stage takes; the stages correct them as they run."""
-    pixels = sum(frame.camera.width * frame.camera.height for frame in scene.frames)
-    passes = {"optimise": schedule, "final pass": final_pass}
-    seconds = {name: p.steps * p.batch / SAMPLES_PER_SECOND for name, p in passes.items() if p}
-    progress.expect({"rays": pixels / RAYS_PER_SECOND, **seconds, "bake": size**2 / TEXELS_PER_SECOND})
+    fitting: Fitting,
+    staging: Path,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Say what the run will take and what its preset reached elsewhere; returns that for the report."""
+    preset, texture = PRESETS[options.preset], Texture(size, _TEXEL_TYPES[options.format], GUTTER)
+    work = Work(
+        photos=len(scene.frames),
+        pixels=_pixels(scene.frames),
+        texels=size**2,
+        held_out_pixels=_pixels(scene.frames[i] for i in held_out) if fitting.terms.photometric else 0,
+        steps=preset.schedule.steps,
+        final_steps=preset.final_pass.steps if len(held_out) and not options.keep_held_out else 0,
+    )
+    to_come = predict(measure(scene.frames, mesh, texture, staging, fitting), work)
+    _begin(progress, to_come)
+    priors = any(frame.albedo for frame in scene.frames) and fitting.terms.prior_weight > 0.0
+    as_measured = not (priors or options.equal_bands)
+    expected = Expectation(progress.seconds | to_come, QUALITY[options.preset] if as_measured else None)
+    if options.json:
+        progress.say({"stage": "expected", **expected.as_dict()})
+    else:
+        print(expected.sentence(options.preset, priors), file=sys.stderr, flush=True)
+    return expected.as_dict()
+
+
+def _begin(progress: Progress, to_come: dict[str, float]) -> None:
+    """End the stages that only prepare, count the time before them as one more, and expect the others."""
+    progress.close()
+    start = max(since_start() - sum(progress.seconds.values()), 0.0)
+    progress.seconds = {"start": round(start, 3), **progress.seconds}
+    progress.expect(to_come)
+
+
+def _pixels(frames: Iterable[Frame]) -> int:
+    return sum(frame.camera.width * frame.camera.height for frame in frames)
 
 
 def _trace(
@@ -156,6 +192,7 @@ def _trace(
 ) -> RayCache:
     spill = staging / "rays"
     spill.mkdir()
+    progress.update("rays", 0.0, 1.0)
     return trace(mesh, scene.frames, visit, lambda done: progress.update("rays", done, 1.0), spill)
 
 
@@ -175,6 +212,7 @@ def _fit(
     def report(stage: str) -> Callable[[int, int, float], None]:
         return lambda step, steps, loss: progress.update(stage, step, steps, loss)
 
+    progress.update("optimise", 0, preset.schedule.steps)
     torch.manual_seed(seed)
     model = Model(spec, len(photos))
     start_exposures(model, cache)
@@ -188,6 +226,7 @@ def _fit(
     score = held_out_psnr(model, cache, held_out, seed, report("held-out")) if terms.photometric else None
     if not options.keep_held_out:
         everything = photo_ranges(cache, photos)
+        progress.update("final pass", 0, preset.final_pass.steps)
         fit(model, cache, everything, terms, preset.final_pass, seed + 1, report("final pass"))
     return model, score
 

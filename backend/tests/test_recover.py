@@ -63,8 +63,10 @@ def test_recovers_the_painted_albedo_better_than_the_average(scene, tmp_path, ca
     assert ours > 24.0
 
     stages = list(dict.fromkeys(event["stage"] for event in events))
-    assert stages == [s for s in STAGES if s != "unwrap"] + ["done"]
+    assert stages == ["scene", "expected", *STAGES[2:], "done"]
     for event in events[:-1]:
+        if event["stage"] == "expected":
+            continue
         assert set(event) == {"stage", "step", "total", "loss", "seconds_left"}
         assert 0 <= event["step"] <= event["total"]
     report = json.loads((tmp_path / "ours/report.json").read_text())
@@ -73,12 +75,22 @@ def test_recovers_the_painted_albedo_better_than_the_average(scene, tmp_path, ca
     assert report["held_out_psnr"] > 24.0
     assert 0.9 < report["coverage"] <= 1.0
     assert report["peak_memory_bytes"] > 1 << 26
-    assert set(report["seconds"]) == set(stages[:-1])
+    assert list(report["seconds"]) == ["start", "scene", *STAGES[2:]]
+    (said,) = (event for event in events if event["stage"] == "expected")
+    assert said == {"stage": "expected", **report["expected"]}
+    assert list(report["expected"]["seconds"]) == list(report["seconds"])
+    assert report["expected"]["albedo_psnr_after_gain"]["mean"] > 20.0
     assert sorted(p.name for p in (tmp_path / "ours").iterdir()) == [
         "albedo.png",
         "coverage.png",
         "report.json",
     ]
+
+
+def test_people_are_told_before_the_work_begins(scene, tmp_path, capsys):
+    assert main(["recover", str(scene), "--out", str(tmp_path / "out")]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("standard: about ") and "dB" in line
 
 
 def test_same_seed_same_bytes(scene, tmp_path, capsys):
@@ -98,6 +110,8 @@ def test_a_good_prior_decides_level_and_colour(scene, tmp_path, capsys):
         out = tmp_path / name
         code, events = run(capsys, "recover", scene, "--out", out, "--priors", priors, *extra)
         assert code == 0 and events[-1]["report"]["priors"] == 8
+        reached = events[-1]["report"]["expected"]["albedo_psnr_after_gain"]
+        assert (reached is None) == (name != "ignored"), "with priors they decide, so nothing is promised"
     assert accuracy(tmp_path / "both") > 24.0
     assert accuracy(tmp_path / "lifted") > 24.0
     assert accuracy(tmp_path / "ignored") < accuracy(tmp_path / "both") - 3.0
@@ -115,6 +129,7 @@ def test_keep_held_out_skips_the_final_pass(scene, tmp_path, capsys):
     code, events = run(capsys, "recover", scene, "--out", tmp_path / "out", "--keep-held-out")
     assert code == 0
     assert "final pass" not in {event["stage"] for event in events}
+    assert "final pass" not in events[-1]["report"]["expected"]["seconds"]
     assert events[-1]["report"]["held_out_photos"] == ["4.png"]
 
 

@@ -26,11 +26,10 @@ import numpy as np
 import bpy  # isort: skip
 
 import demo_object
+from lights import Lighting, find_hdris
 from studio import (
     LUMINANCE,
-    Lighting,
     albedo_material,
-    find_hdris,
     lit_material,
     load_mesh,
     open_studio,
@@ -117,6 +116,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     add("out", type=Path)
     add("--mesh", type=Path, help="OBJ, PLY or GLB with UVs; without it, the demo's own object")
     add("--texture", type=Path, help="the mesh's true albedo; without it, the mesh's own base colour image")
+    add("--texture-size", type=int, help="resample the true texture if its longer side has more texels")
     add("--up", choices=("Y", "Z"), default="Y", help="the mesh file's up axis (OBJ and PLY)")
     add("--photos", type=int, default=40)
     add("--test", type=int, default=8, help="test views")
@@ -152,8 +152,13 @@ def subject(options: argparse.Namespace, out: Path) -> tuple[bpy.types.Object, b
         thing, texture = demo_object.build()
     else:
         thing = load_mesh(options.mesh, options.up)
+        if not thing.data.uv_layers:
+            sys.exit(f"{options.mesh}: has no UVs; unwrap it first.")
         texture = bpy.data.images.load(str(options.texture)) if options.texture else own_texture(thing)
-    _ = texture.pixels[0]  # loads the file; after its path is changed it would be too late
+    if not len(texture.pixels):  # asking loads the file; after its path is changed it would be too late
+        sys.exit(f"{options.texture or options.mesh}: its texture cannot be read.")
+    shrink(texture, options.texture_size)
+    print(f"true texture: {texture.size[0]} x {texture.size[1]}", flush=True)
     texture.filepath_raw, texture.file_format = str(out / "albedo_gt.png"), "PNG"
     texture.save()
     bpy.ops.object.select_all(action="DESELECT")
@@ -168,6 +173,14 @@ def subject(options: argparse.Namespace, out: Path) -> tuple[bpy.types.Object, b
             up_axis="Z",
         )
     return thing, texture
+
+
+def shrink(texture: bpy.types.Image, limit: int | None) -> None:
+    """Resample so that the longer side has `limit` texels; never enlarge."""
+    width, height = texture.size
+    if limit and max(width, height) > limit:
+        scale = limit / max(width, height)
+        texture.scale(max(1, round(width * scale)), max(1, round(height * scale)))
 
 
 def own_texture(thing: bpy.types.Object) -> bpy.types.Image:

@@ -15,11 +15,10 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from lights import Lighting, find_hdris
 from mathutils import Matrix
 from studio import (
-    Lighting,
     albedo_material,
-    find_hdris,
     lit_material,
     load_mesh,
     open_studio,

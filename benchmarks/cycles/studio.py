@@ -4,36 +4,20 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+import sys
 from pathlib import Path
 
 import bpy
 import numpy as np
+from lights import Lighting
 from mathutils import Matrix
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
-@dataclass(frozen=True)
-class Lighting:
-    """An HDRI turned about the vertical, and a sun lamp (irradiance 0: none). Angles in radians."""
-
-    hdri: str
-    rotation: float
-    sun_irradiance: float = 0.0
-    sun_azimuth: float = 0.0
-    sun_elevation: float = 0.5 * math.pi
-
-
 def shipped_hdris() -> Path:
     """The folder of the CC0 HDRIs that come with every Blender."""
     return Path(bpy.utils.system_resource("DATAFILES")) / "studiolights" / "world"
-
-
-def find_hdris(folder: Path) -> dict[str, Path]:
-    """Name and file of every HDRI in `folder`, by name."""
-    files = (path for path in folder.iterdir() if path.suffix.lower() in (".exr", ".hdr"))
-    return {path.stem: path for path in sorted(files)}
 
 
 def open_studio(size: int, fov: float, samples: int, transparent: bool = True) -> None:
@@ -112,10 +96,17 @@ def sky_irradiance(hdri: Path) -> float:
 
 
 def lit_material(
-    texture: bpy.types.Image, roughness: float = 1.0, specular: float = 0.0
+    texture: bpy.types.Image, roughness: float = 1.0, specular: float = 0.0, on_screen: bool = False
 ) -> bpy.types.Material:
-    """`texture` as the albedo of a Principled BSDF; purely diffuse as it stands."""
+    """`texture` as the albedo of a Principled BSDF; purely diffuse as it stands.
+
+    `on_screen`: the texture is what the camera sees, and lies on the object as if projected from there.
+    """
     material, nodes, links, image = _textured(texture)
+    if on_screen:
+        coordinates = nodes.new("ShaderNodeTexCoord")
+        links.new(coordinates.outputs["Window"], image.inputs["Vector"])
+        image.extension = "EXTEND"
     shader = nodes.new("ShaderNodeBsdfPrincipled")
     shader.inputs["Roughness"].default_value = roughness
     shader.inputs["Specular IOR Level"].default_value = specular
@@ -151,7 +142,10 @@ def wear(thing: bpy.types.Object, material: bpy.types.Material) -> None:
 
 
 def load_mesh(path: Path, up: str = "Z") -> bpy.types.Object:
-    """Import an OBJ, PLY or GLB as one object with its transform applied; `up` is an OBJ's or PLY's up axis."""
+    """Import an OBJ, PLY or GLB as one object with its transform applied; `up` is an OBJ's or PLY's up axis.
+
+    Ends the program with a sentence where the file holds no mesh that can be read.
+    """
     axes = (
         {"forward_axis": "Y", "up_axis": "Z"} if up == "Z" else {"forward_axis": "NEGATIVE_Z", "up_axis": "Y"}
     )
@@ -164,6 +158,8 @@ def load_mesh(path: Path, up: str = "Z") -> bpy.types.Object:
         else:
             bpy.ops.import_scene.gltf(filepath=str(path))
     meshes = [thing for thing in bpy.data.objects if thing not in before and thing.type == "MESH"]
+    if not any(len(thing.data.polygons) for thing in meshes):
+        sys.exit(f"{path}: holds no mesh that can be read.")
     return join(meshes)
 
 

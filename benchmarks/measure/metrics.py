@@ -27,11 +27,6 @@ def apply_gains(picture: np.ndarray, factors: np.ndarray) -> np.ndarray:
     return srgb_from_linear(np.clip(linear_from_srgb(picture) * factors, 0.0, 1.0))
 
 
-def psnr_after_gain(picture: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float:
-    """PSNR after one gain per channel: the overall colour, which photos alone leave open, is forgiven."""
-    return psnr(apply_gains(picture, gains(picture, truth, mask)), truth, mask)
-
-
 def linear_from_srgb(encoded: np.ndarray) -> np.ndarray:
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 

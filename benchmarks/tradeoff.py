@@ -1,0 +1,297 @@
+"""Accuracy against time: `python3 dev.py bench tradeoff DIR [--knobs steps batch] [--minutes 45] [--json]`.
+
+DIR holds scene folders as `gigalit` wants them. Every preset, and `standard` with one knob turned at a time, runs
+on every object. Prints a Markdown table of the means and writes tradeoff.json and a figure with the Pareto front to
+--out. Finished runs are kept there and used again as long as code, settings, scene and machine are the same: when
+--minutes are over, or after an interruption, the same command goes on. Times count only on an idle machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import psutil
+from dante_w.model.presets import PRESETS
+from measure.command import ROOT
+from measure.curves import draw
+from measure.machine import provenance, sentence
+from measure.pareto import PRESET, Row, pareto_front, table
+from measure.score import score
+from methods.variant import OUTSIDE, altered
+
+VARIANT = ROOT / "benchmarks" / "methods" / "variant.py"
+BASE = "standard"
+#: Its rows show how far chance alone moves a result; they are no choice, so never on the front.
+SEED = "seed"
+RAW, ACCURACY = "PSNR", "PSNR after gain"
+#: What a run takes on two cores, for the time left: seconds, and samples fitted per second.
+FIXED_SECONDS, SAMPLES_PER_SECOND = 10.0, 7e5
+
+#: A label and what it changes in `BASE`: fields of `Preset`, or options of the command where they begin with --.
+Value = tuple[str, dict[str, Any]]
+KNOBS: dict[str, list[Value]] = {
+    "steps": [(f"{n}", {"schedule.steps": n}) for n in (60, 150, 500, 1000, 2000)],
+    "batch": [(f"{n >> 10}k", {"schedule.batch": n}) for n in (1 << 13, 1 << 15, 1 << 17)],
+    "albedo-finest": [
+        (f"{n} (2^{table})", {"model.albedo.finest": n, "model.albedo.log2_table": table})
+        for n, table in ((512, 15), (1024, 17), (2048, 19), (4096, 21))
+    ],
+    "albedo-table": [(f"2^{n}", {"model.albedo.log2_table": n}) for n in (17, 19, 21)],
+    "albedo-levels": [(f"{n}", {"model.albedo.levels": n}) for n in (8, 12, 16)],
+    "mlp-width": [(f"{n}", {"model.hidden": n}) for n in (16, 32, 64)],
+    "irradiance-finest": [(f"{n}", {"model.irradiance.finest": n}) for n in (8, 16, 32)],
+    "texture-size": [("1024", {"--texture-size": 1024}), ("2048", {}), ("4096", {"--texture-size": 4096})],
+    "ray-fraction": [("1/16", {"ray_fraction": 1 / 16}), ("1/4", {"ray_fraction": 0.25}), ("1", {})],
+    "precision": [("bfloat16", {"decoder_precision": "bfloat16"}), ("float32", {})],
+    SEED: [("0", {}), ("1", {"--seed": 1}), ("2", {"--seed": 2})],
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """A preset and what is changed in it."""
+
+    knob: str
+    label: str
+    changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    preset: str = BASE
+
+    @property
+    def inside(self) -> dict[str, Any]:
+        """What `methods/variant.py` is to change."""
+        return {name: value for name, value in self.changes.items() if not name.startswith("--")}
+
+    @property
+    def options(self) -> list[str]:
+        """What the command itself offers."""
+        return [f"{name}={value}" for name, value in self.changes.items() if name.startswith("--")]
+
+    def content(self) -> list[Any]:
+        """What runs, however it is called: settings of equal content are one run."""
+        outside = [self.changes.get(name) for name in OUTSIDE]
+        return [dataclasses.asdict(altered(PRESETS[self.preset], self.inside)), outside, self.options]
+
+    def expected_seconds(self) -> float:
+        """On two cores, roughly."""
+        preset = altered(PRESETS[self.preset], self.inside)
+        samples = sum(part.steps * part.batch for part in (preset.schedule, preset.final_pass))
+        return FIXED_SECONDS + samples / SAMPLES_PER_SECOND
+
+
+class Job(NamedTuple):
+    """A setting on an object, and the file that holds what came of it."""
+
+    setting: Setting
+    scene: Path
+    file: Path
+
+
+def main() -> None:
+    options = parse()
+    scenes = sorted(file.parent for file in options.dir.glob("*/transforms_test.json"))
+    if options.objects:
+        scenes = [scene for scene in scenes if scene.name in options.objects]
+    if not scenes:
+        sys.exit(f"{options.dir}: no such objects here; name a folder of scene folders.")
+    facts = provenance()
+    wanted = settings(options.presets, options.knobs)
+    machine = [options.device, *(facts[name] for name in ("processor", "cores", "gpu", "versions"))]
+    jobs = [Job(each, scene, note(options.out, each, scene, machine)) for each in wanted for scene in scenes]
+    measure(jobs, options)
+    runs = [[read(job.file) for job in jobs if job.setting is each] for each in wanted]
+    rows = [mean_row(each, found) for each, found in zip(wanted, runs, strict=True) if all(found)]
+    if (PRESET, BASE) not in [(row.knob, row.label) for row in rows]:
+        sys.exit(f"`{BASE}` has not been run on all objects yet; give it more --minutes.")
+    front = on_front(rows)
+    device = next(run["device"] for found in runs for run in found if run)
+    names = ", ".join(scene.name for scene in scenes)
+    print(f"{table(rows, front, BASE)}\n\nMeans over {names}; on {device}. {sentence(facts)}")
+    if len(rows) < len(wanted):
+        print(
+            f"{len(wanted) - len(rows)} of {len(wanted)} settings still miss runs: run this again.",
+            file=sys.stderr,
+        )
+    marked = [{**dataclasses.asdict(row), "on_front": bool(on)} for row, on in zip(rows, front, strict=True)]
+    content = {
+        "made_with": {**facts, "device": device, "objects": names},
+        "rows": marked,
+        "runs": [read(file) for file in dict.fromkeys(job.file for job in jobs) if file.is_file()],
+    }
+    (options.out / "tradeoff.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
+    title = (
+        f"{facts['processor']}, {facts['cores']} cores" if device == "cpu" else str(facts["gpu"] or device)
+    )
+    draw(options.out / "tradeoff.png", rows, front, f"{len(scenes)} objects on {title}")
+    if options.json:
+        print(json.dumps(content))
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    add = parser.add_argument
+    add("dir", type=Path, help="folder of scene folders")
+    add("--objects", nargs="+", help="names; without it, all")
+    add("--presets", nargs="*", default=["draft", "standard", "high"], choices=list(PRESETS))
+    add("--knobs", nargs="*", default=list(KNOBS), choices=list(KNOBS), metavar="KNOB", help=", ".join(KNOBS))
+    add("--minutes", type=float, default=45.0, help="begin no run that would end later")
+    add("--device", default="auto", choices=("auto", "cpu", "cuda", "mps"))
+    add("--out", type=Path, default=ROOT / "build" / "tradeoff", help="where everything goes")
+    add("--json", action="store_true", help="the last line is one JSON object")
+    return parser.parse_args()
+
+
+def settings(presets: Sequence[str], knobs: Sequence[str]) -> list[Setting]:
+    """The presets, then each knob's values; `BASE` is always among them, to compare with."""
+    names = [name for name in PRESETS if name in {BASE, *presets}]
+    return [
+        *(Setting(PRESET, name, preset=name) for name in names),
+        *(Setting(knob, label, changes) for knob in knobs for label, changes in KNOBS[knob]),
+    ]
+
+
+# --- runs -------------------------------------------------------------------------------------------
+
+
+def note(out: Path, setting: Setting, scene: Path, machine: Sequence[Any]) -> Path:
+    """Where the facts of one run are kept: the name holds all that they hang on."""
+    parts = json.dumps([setting.content(), scene_digest(scene), code_digest(), *machine])
+    return out / "runs" / f"{scene.name}-{hashlib.sha256(parts.encode()).hexdigest()[:16]}.json"
+
+
+def code_digest() -> str:
+    """Changes with the backend's sources, the variants and the scores."""
+    scores = [
+        ROOT / "benchmarks/measure" / f"{name}.py" for name in ("score", "metrics", "views", "pictures")
+    ]
+    files = sorted((ROOT / "backend/dante_w").rglob("*.py"))
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in [*files, VARIANT, *scores])).hexdigest()
+
+
+@lru_cache
+def scene_digest(scene: Path) -> str:
+    """Changes with a scene's cameras and mesh, and with the names and sizes of its pictures."""
+    files = sorted(file for file in scene.rglob("*") if file.is_file())
+    listing = [[file.relative_to(scene).as_posix(), file.stat().st_size] for file in files]
+    digest = hashlib.sha256(json.dumps(listing).encode())
+    for file in [*sorted(scene.glob("*.json")), scene / "mesh.obj"]:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def measure(jobs: Sequence[Job], options: argparse.Namespace) -> None:
+    """Make the runs that are missing: presets first, then knobs, the quick ones first."""
+    once = {
+        job.file: job for job in reversed(jobs) if not job.file.is_file()
+    }  # the first name of a run counts
+    missing = sorted(
+        once.values(), key=lambda job: (job.setting.knob != PRESET, job.setting.expected_seconds())
+    )
+    code = code_digest()
+    start, expected, pace = time.monotonic(), 0.0, 1.0
+    for done, job in enumerate(missing):
+        words = f"{job.setting.knob} {job.setting.label}, {job.scene.name}"
+        left = pace * sum(each.setting.expected_seconds() for each in missing[done:])
+        if time.monotonic() - start + pace * job.setting.expected_seconds() > 60.0 * options.minutes:
+            say(f"--minutes are over; {len(missing) - done} runs, about {left / 60:.0f} minutes, are left")
+            return
+        say(f"{done + 1}/{len(missing)} {words}; {left / 60:.0f} minutes left in all")
+        if done == 0:  # compiled code is kept from run to run, and the first must not pay for all
+            run(Setting("", "warm-up", {"schedule.steps": 4}), job.scene, options.device, options.out)
+            start = time.monotonic()
+        try:
+            facts = run(job.setting, job.scene, options.device, options.out)
+        except RuntimeError as error:
+            say(f"{words} is left out: {error}")
+            continue
+        if code_digest() != code:
+            sys.exit("The code was changed while this ran; start again.")
+        job.file.parent.mkdir(parents=True, exist_ok=True)
+        partial = job.file.with_suffix(".partial")
+        partial.write_text(json.dumps(facts, indent=1), encoding="utf-8")
+        partial.replace(job.file)
+        expected += job.setting.expected_seconds()
+        pace = (time.monotonic() - start) / expected
+
+
+def run(setting: Setting, scene: Path, device: str, out: Path) -> dict[str, Any]:
+    """Run one setting on one object; returns what is worth keeping, and removes the rest.
+
+    Raises:
+        RuntimeError: the command failed; what it said.
+    """
+    load = psutil.getloadavg()[0]
+    result = out / "result"
+    shutil.rmtree(result, ignore_errors=True)
+    command = [sys.executable, str(VARIANT), json.dumps(setting.inside), "recover", str(scene)]
+    command += ["--mesh", str(scene / "mesh.obj"), "--preset", setting.preset, "--device", device]
+    start = time.monotonic()
+    done = subprocess.run(
+        [*command, *setting.options, "--out", str(result), "--json"], stdout=subprocess.PIPE, encoding="utf-8"
+    )
+    seconds = time.monotonic() - start
+    if done.returncode:
+        last = json.loads(done.stdout.splitlines()[-1]) if done.stdout else {}
+        raise RuntimeError(last.get("message", f"ended with {done.returncode}"))
+    report = json.loads((result / "report.json").read_text(encoding="utf-8"))
+    scores = score(result, scene)
+    shutil.rmtree(result)
+    kept = ("preset", "texture_size", "samples", "held_out_psnr", "peak_memory_bytes", "device")
+    return {
+        "object": scene.name,
+        "changes": dict(setting.changes),
+        "seconds": round(seconds, 2),
+        "stages": report["seconds"],
+        "scores": scores,
+        "load_before": round(load, 2),
+        **{name: report[name] for name in kept},
+    }
+
+
+def read(file: Path) -> dict[str, Any]:
+    """The facts of a run, empty where it is still missing."""
+    return dict(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else {}
+
+
+# --- results ----------------------------------------------------------------------------------------
+
+
+def mean_row(setting: Setting, runs: Iterable[Mapping[str, Any]]) -> Row:
+    columns = [
+        (
+            run["seconds"],
+            sum(run["stages"].get(stage, 0.0) for stage in ("optimise", "final pass")),
+            run["scores"][RAW],
+            run["scores"][ACCURACY],
+        )
+        for run in runs
+    ]
+    return Row(setting.knob, setting.label, *np.mean(columns, axis=0).tolist())
+
+
+def on_front(rows: Sequence[Row]) -> np.ndarray:
+    """(N,) bool: the rows on the Pareto front of seconds and PSNR after gain."""
+    choices = np.array([row.knob != SEED for row in rows])
+    front = np.zeros(len(rows), bool)
+    points = np.array([(row.seconds, row.psnr_after_gain) for row in rows])[choices]
+    front[choices] = pareto_front(*points.T)
+    return front
+
+
+def say(text: str) -> None:
+    print(f"== {text}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()
