@@ -10,8 +10,8 @@ import pytest
 from dante_w.scene.scene_folder import read_scene
 from measure.metrics import psnr
 from measure.pictures import read, write
-from measure.views import Viewer, linear_texture
-from methods.stand_in_prior import Strength, View, blur, make_priors, observe, spoil
+from measure.views import Surface, Viewer, linear_texture
+from methods.stand_in_prior import SHARED_LIGHT, BakedLight, Strength, View, blur, make_priors, observe, spoil
 from stand_in_prior import Figures, nearer, off
 
 SIDE = 64  # pixels of a photo
@@ -25,8 +25,15 @@ def scene(tmp_path: Path) -> Path:
     return build(tmp_path / "roof")
 
 
-def build(folder: Path, texture: np.ndarray | None = None, names: tuple[str, ...] = ("a", "b", "c")) -> Path:
-    """Write a scene folder. View b is view a, the camera rolled by 90 degrees; photos show half the albedo."""
+def build(
+    folder: Path,
+    texture: np.ndarray | None = None,
+    names: tuple[str, ...] = ("a", "b", "c"),
+    left: float = 0.4,
+    right: float = 0.4,
+) -> Path:
+    """Write a scene folder. View b is view a, the camera rolled by 90 degrees; photos show the two slopes of the
+    roof, the left and right half of the texture, in light of these strengths. Some pixels are not quite opaque."""
     if texture is None:
         texture = np.random.default_rng(5).uniform(0.3, 0.8, (8, 8, 3)).repeat(16, 0).repeat(16, 1)
     folder.mkdir()
@@ -43,10 +50,14 @@ def build(folder: Path, texture: np.ndarray | None = None, names: tuple[str, ...
         content = {"camera_angle_x": 0.8, "w": SIDE, "h": SIDE, "frames": frames}
         (folder / f"transforms_{role}.json").write_text(json.dumps(content))
         viewer = Viewer(folder / "mesh.obj", read_scene(folder / f"transforms_{role}.json").frames)
+        shown = linear_texture(folder / "albedo_gt.png")
+        if role == "train":
+            shown = shown * np.repeat([left, right], shown.shape[1] // 2)[:, None]
         for index, frame in enumerate(viewer.frames):
-            picture, full = viewer.view(linear_texture(folder / "albedo_gt.png"), index)
-            shown = np.dstack([picture * (0.5 if role == "train" else 1.0), full])
-            write(frame.image, shown * full[..., None])
+            picture, alpha = viewer.view(shown, index)[0], np.ones((SIDE, SIDE, 1))
+            alpha[: SIDE // 2] = 0.96
+            alpha *= viewer.view(shown, index)[1][..., None]
+            write(frame.image, np.dstack([picture * alpha, alpha]))
     return folder
 
 
@@ -93,7 +104,7 @@ def test_no_strength_gives_the_true_albedo(scene: Path, tmp_path: Path):
         truth, alpha = read(truth_file)
         prior, own_alpha = read(tmp_path / "out" / "test" / truth_file.name)
         assert np.array_equal(alpha, own_alpha)
-        assert np.abs(prior - truth)[alpha > 0.999].max() < 1.5 / 255.0
+        assert np.abs(prior - truth)[alpha > 0.9].max() < 2.5 / 255.0
 
 
 def test_shared_error_belongs_to_the_surface_and_own_error_to_the_view(scene: Path):
@@ -106,8 +117,34 @@ def test_shared_error_belongs_to_the_surface_and_own_error_to_the_view(scene: Pa
     assert shared[both].std() > 0.1
     # the light is baked in cells; a point on the border of two may fall into either
     assert np.median(np.abs(turned - shared)[both]) < 1e-4
-    own = np.rot90(on_picture(rolled, rolled.own), 1) - on_picture(one, one.own)
-    assert own[both].std() > 0.1
+    on_object = np.rot90(on_picture(rolled, rolled.own), 1) - on_picture(one, one.own)
+    in_picture = on_picture(rolled, rolled.own) - on_picture(one, one.own)
+    assert np.nanstd(on_object) > 0.1
+    assert np.nanstd(in_picture) > 0.1
+
+
+def test_light_that_the_photos_share_leaks_into_every_prior(tmp_path: Path):
+    texture = np.ones((16, 16, 3))
+    lit = {"even": (0.4, 0.4), "right": (0.2, 0.8)}
+    leak = {}
+    for name, (left, right) in lit.items():
+        # one folder name, so that nothing but the light differs
+        folder = tmp_path / name
+        folder.mkdir()
+        view = observe(build(folder / "roof", texture, left=left, right=right))[0]
+        error = on_picture(view, view.shared)
+        leak[name] = np.nanmean(error[:, SIDE // 2 + 4 :]) - np.nanmean(error[:, : SIDE // 2 - 4])
+    assert leak["right"] - leak["even"] == pytest.approx(SHARED_LIGHT * np.log(4.0), rel=0.15)
+
+
+def test_the_two_sides_of_a_board_keep_their_own_light():
+    middle, up = np.full((5, 3), 0.5), np.tile([0.0, 0.0, 1.0], (5, 1))
+    light = BakedLight()
+    above_it, below = Surface(np.arange(5), middle, up), Surface(np.arange(5), middle, -up)
+    light.add(above_it, np.full((5, 3), 0.7))
+    light.add(below, np.full((5, 3), -0.2))
+    assert np.allclose(light(above_it), 0.7)
+    assert np.allclose(light(below), -0.2)
 
 
 @pytest.mark.parametrize(("small", "large"), [((0.3, 0), (0.9, 0)), ((0, 0.3), (0, 0.9))])
