@@ -30,7 +30,7 @@ from methods.stand_in_prior import STRENGTHS
 
 METRICS = {"PSNR": psnr, "SSIM": ssim, "LPIPS": lpips, "FLIP": flip}
 #: How the names of the rows begin that are drawn for each object.
-SHOWN = ("photos averaged", "gradient-domain", "raw prior", "ours full")
+SHOWN = ("photos averaged", "gradient-domain", "ours, traced", "raw prior", "ours full")
 
 
 @dataclass(frozen=True)

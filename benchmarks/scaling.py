@@ -37,8 +37,8 @@ DIFFERENT = 4
 MESH_ROWS = 160  # 101,760 triangles
 QUICK = {"photos": [10, 80], "megapixels": [0.25, 2.0], "texture_sizes": [512, 4096]}
 #: From its start to its end a process does more than its stages say: imports, freeing memory.
-START, TOTAL, MEMORY = "start, end", "all", "peak memory"
-STAGES = ("scene", "rays", "optimise", "held-out", "final pass", "bake", "write", START)
+END, TOTAL, MEMORY = "end", "all", "peak memory"
+STAGES = ("start", "scene", "rays", "optimise", "held-out", "final pass", "bake", "write", END)
 COLOURS = (
     "#56B4E9",
     "#D55E00",
@@ -48,6 +48,7 @@ COLOURS = (
     "#E69F00",
     "#8B5A2B",
     "#999999",
+    "#F0E442",
 )  # Okabe, Ito
 #: Between two looks at the ray cache's files.
 LOOK_SECONDS = 1.0
@@ -70,7 +71,7 @@ class Shape:
 class Run:
     """What one `dante-w recover` took.
 
-    seconds: per stage, and `START` and `TOTAL`. peak_memory_bytes: of the process, as its report has it; it counts
+    seconds: per stage, and `END` and `TOTAL`. peak_memory_bytes: of the process, as its report has it; it counts
     pages of files that are mapped. cache_file_bytes: the ray cache where it went to disk, 0 where it stayed in memory.
     """
 
@@ -138,7 +139,7 @@ def recover(shape: Shape, preset: str, scene: Path, mesh: Mesh, frames: list[Fra
     arguments = ["recover", str(scene), "--preset", preset, "--texture-size", str(shape.texture_side)]
     with largest_cache_file(result) as cache_file:
         report, total = dante_w(arguments, result)
-    seconds = {**report["seconds"], START: total - sum(report["seconds"].values()), TOTAL: total}
+    seconds = {**report["seconds"], END: total - sum(report["seconds"].values()), TOTAL: total}
     return Run(shape, report["samples"], seconds, report["peak_memory_bytes"], max(cache_file))
 
 

@@ -42,6 +42,12 @@ def _parser() -> argparse.ArgumentParser:
     recover.add_argument("--priors", type=Path, metavar="DIR", help="albedo images named like the photos")
     recover.add_argument("--preset", choices=("draft", "standard", "high", "paper"), default="standard")
     recover.add_argument(
+        "--irradiance",
+        choices=("field", "traced"),
+        default="field",
+        help="light as the paper's field over space, or (new) traced through the mesh; no priors with that yet",
+    )
+    recover.add_argument(
         "--lambda", dest="prior_weight", type=_weight, default=1.0, metavar="X", help="prior weight"
     )
     recover.add_argument("--device", choices=("auto", "cpu", "cuda", "mps"), default="auto")

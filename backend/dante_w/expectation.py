@@ -27,10 +27,10 @@ class Quality:
     highest: float
 
 
-#: Without priors, on four objects: `python3 dev.py bench gigalit DIR --preset NAME`. None: not measured.
+#: Without priors, on four objects: `python3 dev.py bench gigalit DIR`. None: not measured.
 QUALITY: dict[str, Quality | None] = {
     "draft": None,
-    "standard": Quality(24.9, 21.0, 28.5),
+    "standard": Quality(24.3, 20.4, 27.7),
     "high": None,
     "paper": None,
 }

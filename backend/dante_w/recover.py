@@ -37,6 +37,7 @@ from dante_w.texture.bake import Texels, bake
 from dante_w.texture.coverage import Coverage, empty_coverage, mark
 from dante_w.texture.unwrap import unwrap
 from dante_w.texture.uvmap import check_uvs
+from dante_w.traced.solve import recover_albedo
 
 #: Texels beyond each chart that are painted, so that mipmaps and bilinear lookups do not bleed.
 GUTTER = 16
@@ -49,6 +50,12 @@ def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> d
     Raises:
         BadInput: the scene cannot be used, or there is nothing to fit to; see `load.load_scene`, `uvmap.check_uvs` and `ray_cache.trace`.
     """
+    method = _recover_traced if options.irradiance == "traced" else _recover_fitted
+    return method(options, staging, progress)
+
+
+def _recover_fitted(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+    """The paper's model: both fields fitted by gradient descent."""
     device = pick_device(options.device)
     preset = PRESETS[options.preset]
     spec = equal_bands(preset.model) if options.equal_bands else preset.model
@@ -101,6 +108,41 @@ def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> d
     )
 
 
+def _recover_traced(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+    """Light traced through the mesh: lights first, then the albedo in closed form."""
+    size = options.texture_size or PRESETS[options.preset].texture_size
+    if options.no_photometric or options.equal_bands:
+        raise BadInput("--no-photometric and --equal-bands belong to --irradiance field; leave them out.")
+    scene, mesh = _prepare(options, options.priors, size, staging, progress)
+    if options.prior_weight > 0.0 and any(frame.albedo for frame in scene.frames):
+        raise BadInput("--irradiance traced does not use priors yet; leave them out or give --lambda 0.")
+    work = Work(len(scene.frames), _pixels(scene.frames), size**2)
+    image = Texture(size, _TEXEL_TYPES[options.format], GUTTER)
+    _begin(progress, predict(measure(scene.frames, mesh, image, staging), work))
+    coverage, footprints = empty_coverage(size, size), []
+
+    def visit(uv: np.ndarray, footprint: np.ndarray, _: np.ndarray) -> None:
+        mark(coverage, uv, footprint * size)
+        footprints.append(footprint.astype(np.float32))
+
+    cache = _trace(scene, mesh, visit, staging, progress)
+    texture, facts = recover_albedo(
+        cache, np.concatenate(footprints), mesh, scene.frames, size, options.seed, progress
+    )
+    seen = _bake(_nearest(texture), mesh, coverage, options.format, staging, progress)
+    return _report(
+        options,
+        staging,
+        progress,
+        photos=len(scene.frames),
+        samples=len(cache),
+        held_out_psnr=None,
+        coverage=seen,
+        texture_size=size,
+        **facts,
+    )
+
+
 def average(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
     """Average the photos on the texture, light and all: the baseline. Same files and errors as `recover`."""
     size = options.texture_size or PRESETS["standard"].texture_size
@@ -115,16 +157,21 @@ def average(options: argparse.Namespace, staging: Path, progress: Progress) -> d
         mean.add(uv, linear_from_srgb_array(srgb), 1.0, footprint * size)
 
     cache = _trace(scene, mesh, visit, staging, progress)
-    texture = mean.resolve()
+    seen = _bake(_nearest(mean.resolve()), mesh, coverage, options.format, staging, progress)
+    facts = {"photos": len(scene.frames), "samples": len(cache), "coverage": seen, "texture_size": size}
+    return _report(options, staging, progress, **facts)
+
+
+def _nearest(texture: np.ndarray) -> Texels:
+    """The texels of a square texture that is there already."""
+    size = len(texture)
 
     def texels(uv: np.ndarray) -> np.ndarray:
         column = (uv[:, 0] * size).astype(np.int64).clip(0, size - 1)
         row = ((1.0 - uv[:, 1]) * size).astype(np.int64).clip(0, size - 1)
-        return texture[row, column]
+        return np.minimum(texture[row, column], 1.0)
 
-    seen = _bake(texels, mesh, coverage, options.format, staging, progress)
-    facts = {"photos": len(scene.frames), "samples": len(cache), "coverage": seen, "texture_size": size}
-    return _report(options, staging, progress, **facts)
+    return texels
 
 
 def _prepare(

@@ -287,6 +287,69 @@ def test_signals_end_the_run_within_a_second(scene, tmp_path, wanted):
     assert not out.exists()
 
 
+TRACED = ("--irradiance", "traced")
+
+
+@pytest.fixture
+def few_directions(monkeypatch):
+    """Light from fewer directions: the time to solve for it grows with their cube."""
+    monkeypatch.setattr("dante_w.traced.solve.DIRECTIONS", 32)
+
+
+@pytest.mark.usefixtures("few_directions")
+def test_traced_light_recovers_better_than_the_average(scene, tmp_path, capsys):
+    code, events = run(capsys, "recover", scene, "--out", tmp_path / "ours", *TRACED)
+    assert code == 0
+    assert run(capsys, "average", scene, "--out", tmp_path / "mean", "--texture-size", str(SIZE))[0] == 0
+    ours, mean = (accuracy(tmp_path / name, gain=True) for name in ("ours", "mean"))
+    assert ours > mean + 1.0
+    stages = list(dict.fromkeys(event["stage"] for event in events))
+    assert stages == ["scene", "rays", "transfer", "lights", "albedo", "bake", "write", "done"]
+    report = json.loads((tmp_path / "ours/report.json").read_text())
+    assert report == events[-1]["report"]
+    assert len(report["lights"]) == report["photos"] == 8
+    assert set(report["lights"]) == set(range(max(report["lights"]) + 1))
+    assert report["held_out_psnr"] is None
+    assert report["shading_points"] > 1000 and report["texture_size"] == SIZE
+    assert 0.9 < report["coverage"] <= 1.0
+    names = sorted(p.name for p in (tmp_path / "ours").iterdir())
+    assert names == ["albedo.png", "coverage.png", "report.json"]
+
+
+@pytest.mark.usefixtures("few_directions")
+def test_traced_light_same_seed_same_bytes(scene, tmp_path, capsys):
+    for name in "ab":
+        assert run(capsys, "recover", scene, "--out", tmp_path / name, *TRACED, "--seed", "3")[0] == 0
+    first, again = ((tmp_path / n / "albedo.png").read_bytes() for n in "ab")
+    assert first == again
+
+
+@pytest.mark.usefixtures("few_directions")
+def test_traced_light_takes_no_priors_and_no_ablations(scene, tmp_path, capsys):
+    priors, out = tmp_path / "priors", tmp_path / "out"
+    priors.mkdir()
+    for index in range(8):
+        shutil.copy(scene / f"{index}.png", priors)
+    for extra in (["--priors", priors], ["--equal-bands"], ["--no-photometric"]):
+        code, events = run(capsys, "recover", scene, "--out", out, *TRACED, *extra)
+        assert (code, events[-1]["stage"], events[-1]["code"]) == (2, "error", 2), extra
+        assert "--irradiance" in events[-1]["message"] and "\n" not in events[-1]["message"]
+        assert not out.exists()
+    unused = ["--priors", priors, "--lambda", "0"]
+    assert run(capsys, "recover", scene, "--out", out, *TRACED, *unused)[0] == 0
+
+
+@pytest.mark.parametrize("photos", [1, 2, 3])
+@pytest.mark.usefixtures("few_directions")
+def test_traced_light_manages_with_few_photos(tmp_path, capsys, photos):
+    """It either recovers something finite or says in one sentence what is missing; it is never a bug."""
+    folder = make_scene(tmp_path / "s", photos=photos)
+    code, events = run(capsys, "recover", folder, "--out", tmp_path / "out", *TRACED)
+    assert code in (0, 2), events[-1]
+    assert code == 0 or "photo" in events[-1]["message"]
+    assert code == 0 or photos < 3
+
+
 def test_float_photos_with_nan_pixels(tmp_path, capsys):
     folder = make_scene(tmp_path / "s", photos=3)
     for index in range(3):

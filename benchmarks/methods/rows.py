@@ -56,7 +56,9 @@ def methods(presets: Sequence[str], priors: Sequence[str]) -> Iterator[Method]:
     yield Method("photos averaged", "dante-w", ("average",))
     yield Method("gradient-domain texturing", "lagrange")
     for prior in priors:
-        if prior != NO_PRIOR:
+        if prior == NO_PRIOR:
+            yield Method("ours, traced light", "dante-w", ("recover", "--irradiance", "traced"))
+        else:
             yield Method("raw prior", "raw prior", prior=prior)
             yield Method("ours w/o PR", "dante-w", ("recover", "--preset", FULL, "--no-photometric"), prior)
         yield Method("ours, equal bands", "dante-w", ("recover", "--preset", FULL, "--equal-bands"), prior)

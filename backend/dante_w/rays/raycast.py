@@ -66,13 +66,16 @@ class Raycaster:
             origin: (3,) in the unit cube's frame; may lie outside of it.
             directions: (N, 3), any length; rays with a direction that is not finite hit nothing.
         """
+        return self.cast_from(np.broadcast_to(origin, directions.shape), directions)
+
+    def cast_from(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+        """First hits of rays that each have an origin (N, 3) of their own; see `cast`."""
         usable = np.flatnonzero(np.isfinite(directions).all(axis=1))
         starts = range(0, len(usable), CHUNK)
-        origins = np.broadcast_to(np.asarray(origin, np.float32), (min(CHUNK, len(usable)), 3)).copy()
 
         def chunk(start: int) -> Hits:
             rays = usable[start : start + CHUNK]
-            found = self._cast(origins[: len(rays)], directions[rays].astype(np.float32))
+            found = self._cast(origins[rays].astype(np.float32), directions[rays].astype(np.float32))
             hit = np.flatnonzero(found["primID"] >= 0)
             return Hits(
                 rays[hit],

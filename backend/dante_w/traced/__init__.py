@@ -1,0 +1,1 @@
+"""Light traced through the mesh: irradiance from visibility, lights and exposures by variable projection."""
