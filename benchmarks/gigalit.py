@@ -13,7 +13,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,27 +22,16 @@ from measure.command import ROOT, blender
 from measure.machine import provenance
 from measure.metrics import psnr
 from measure.perceptual import flip, lpips, ssim
+from measure.scenes import scenes_in
 from measure.score import View, albedo_views, compare, file_views
 from measure.sheet import Column, write_sheet
-from measure.tables import markdown
+from measure.tables import Row, markdown
 from methods.rows import NO_PRIOR, Method, make, methods, priors_of, texture_of
 from methods.stand_in_prior import STRENGTHS
 
 METRICS = {"PSNR": psnr, "SSIM": ssim, "LPIPS": lpips, "FLIP": flip}
 #: How the names of the rows begin that are drawn for each object.
 SHOWN = ("photos averaged", "gradient-domain", "ours, traced", "raw prior", "ours full")
-
-
-@dataclass(frozen=True)
-class Row:
-    """One method on one object: its scores in albedo and relighting, and the seconds to its texture."""
-
-    object: str
-    method: str
-    prior: str
-    seconds: float
-    albedo: dict[str, float]
-    relit: dict[str, float]
 
 
 class Made(NamedTuple):
@@ -55,11 +44,7 @@ class Made(NamedTuple):
 
 def main() -> None:
     options = parse()
-    scenes = sorted(file.parent for file in options.dir.glob("*/transforms_test.json"))
-    if options.objects:
-        scenes = [scene for scene in scenes if scene.name in options.objects]
-    if not scenes:
-        sys.exit(f"{options.dir}: no such objects here; name a folder of scene folders.")
+    scenes = scenes_in(options.dir, options.objects)
     rows = list(methods(options.presets, options.priors))
     results = []
     for number, scene in enumerate(scenes, 1):

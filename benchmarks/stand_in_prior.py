@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from measure.command import ROOT, dante_w
+from measure.scenes import scenes_in
 from measure.score import compare, file_views, score
 from measure.tables import PAPER
 from methods.stand_in_prior import STRENGTHS, Strength, make_priors
@@ -36,9 +37,7 @@ class Figures(NamedTuple):
 
 def main() -> None:
     options = parse()
-    scenes = sorted(file.parent for file in options.dir.glob("*/transforms_test.json"))
-    if not scenes:
-        sys.exit(f"{options.dir}: no scene folders here; name a folder of them.")
+    scenes = scenes_in(options.dir)
     results = {}
     for name in options.strengths:
         strength = STRENGTHS[name]

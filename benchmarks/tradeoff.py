@@ -28,6 +28,7 @@ from measure.command import ROOT
 from measure.curves import draw
 from measure.machine import provenance, sentence
 from measure.pareto import PRESET, Row, pareto_front, table
+from measure.scenes import scenes_in
 from measure.score import score
 from methods.variant import OUTSIDE, altered
 
@@ -100,11 +101,7 @@ class Job(NamedTuple):
 
 def main() -> None:
     options = parse()
-    scenes = sorted(file.parent for file in options.dir.glob("*/transforms_test.json"))
-    if options.objects:
-        scenes = [scene for scene in scenes if scene.name in options.objects]
-    if not scenes:
-        sys.exit(f"{options.dir}: no such objects here; name a folder of scene folders.")
+    scenes = scenes_in(options.dir, options.objects)
     facts = provenance()
     wanted = settings(options.presets, options.knobs)
     machine = [options.device, *(facts[name] for name in ("processor", "cores", "gpu", "versions"))]
