@@ -26,12 +26,18 @@ from measure.scenes import scenes_in
 from measure.score import View, albedo_views, compare, file_views
 from measure.sheet import Column, write_sheet
 from measure.tables import Row, markdown
-from methods.rows import NO_PRIOR, Method, make, methods, priors_of, texture_of
+from methods.rows import FULL, NO_PRIOR, Method, make, methods, priors_of, texture_of
 from methods.stand_in_prior import STRENGTHS
 
 METRICS = {"PSNR": psnr, "SSIM": ssim, "LPIPS": lpips, "FLIP": flip}
 #: How the names of the rows begin that are drawn for each object.
-SHOWN = ("photos averaged", "gradient-domain", "ours, traced", "raw prior", "ours full")
+SHOWN = (
+    "photos averaged",
+    "gradient-domain texturing",
+    "ours, traced light",
+    "raw prior",
+    f"ours full (paper), {FULL}",
+)
 
 
 class Made(NamedTuple):
@@ -126,11 +132,11 @@ def sheet(file: Path, scene: Path, made: list[Made], relit: Path) -> None:
     """Draw the first test view of the rows worth looking at."""
     columns, truth, relit_truth = [], None, None
     for method, out, _ in made:
-        if method.name.startswith(SHOWN):
+        if method.name in SHOWN:
             truth, lit = _albedo(method, scene, out)[0], _relit(method, scene, relit, [0])[0]
             relit_truth = lit.truth
             note = "no prior" if method.prior == NO_PRIOR else f"{method.prior} stand-in"
-            columns.append(Column(method.name.partition(",")[0], note, truth.picture, lit.picture))
+            columns.append(Column(method.name.removesuffix(f", {FULL}"), note, truth.picture, lit.picture))
     if truth is not None and relit_truth is not None:
         write_sheet(file, truth, relit_truth, columns)
 

@@ -1,7 +1,7 @@
 """What rounding costs: `python3 dev.py bench precision [--steps N] [--json]`.
 
 A small fixed problem, the product's own loss and fit, and every precision against float64: the error of one
-step (encoding, loss, gradients) at the model that float64 has fitted, then a whole fit from the same start with
+step (fields, loss, gradients) at the model that float64 has fitted, then a whole fit from the same start with
 the same batches. How far two fits drift apart anyway is told by float64 from a start moved in its 12th digit,
 from one moved as far as float32 rounds, and with other batches. Needs no data. Prints Markdown tables.
 """
@@ -19,9 +19,9 @@ from unittest import mock
 
 import numpy as np
 import torch
-from dante_w.model import optimise
+from dante_w.model import fused, optimise
 from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.hash_encoding import GridSpec, HashGrid, encode_reference
+from dante_w.model.hash_encoding import GridSpec
 from dante_w.model.optimise import LossTerms, Schedule, fit, model_loss
 from dante_w.model.presets import SMALL_OFFSET, WHITE_LIGHT
 from measure.machine import provenance, sentence
@@ -45,7 +45,7 @@ class Way:
     """One way to compute.
 
     dtype: of the parameters, and so of the encoding. autocast: what the decoders' matrix products are done in, if
-    not in that. reference: the plain torch encoding, in place of the one that the device gets. moved: the start is
+    not in that. reference: plain torch, in place of what the device gets. moved: the start is
     off by about this fraction of itself. seed: of the batches. loss_scale: the loss is multiplied by this, without
     which float16 loses small gradients.
     """
@@ -86,7 +86,7 @@ class Row:
     failed: why there is no more."""
 
     name: str
-    encode: float | None = None
+    fields: float | None = None
     loss: float | None = None
     gradients: dict[str, tuple[float, float]] | None = None
     from_float64: float | None = None
@@ -96,9 +96,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Step:
-    """One step's encoding (N, L F) of both grids side by side, loss, and gradients by group, all float64 on the CPU."""
+    """Albedo and irradiance (N, 6) of one batch, its loss, and gradients by group, all float64 on the CPU."""
 
-    encoded: torch.Tensor
+    fields: torch.Tensor
     loss: float
     gradients: dict[str, torch.Tensor]
 
@@ -163,9 +163,6 @@ def prepared(model: Model, way: Way) -> Model:
 def computing(way: Way) -> Iterator[None]:
     """Have the product's own code compute in the given way."""
 
-    def encode(grid: HashGrid, points: torch.Tensor) -> torch.Tensor:
-        return encode_reference(points, grid.tables, grid.spec)
-
     def loss(*arguments: object) -> torch.Tensor:
         # entered for each step: autocast keeps its 16-bit copies of the weights until it is left
         with torch.autocast(way.device, way.autocast, enabled=way.autocast is not None):
@@ -174,31 +171,31 @@ def computing(way: Way) -> Iterator[None]:
     with contextlib.ExitStack() as patches:
         patches.enter_context(mock.patch.object(optimise, "model_loss", loss))
         if way.reference:
-            patches.enter_context(mock.patch.object(HashGrid, "forward", encode))
+            patches.enter_context(mock.patch.object(fused, "computes", lambda *_: False))
         yield
 
 
 def one_step(model: Model, way: Way) -> Step:
-    """Encoding, loss and gradients of one batch."""
+    """Fields, loss and gradients of one batch."""
     data = samples_for(way)
     samples = data.samples(next(optimise.batches(data.ranges, BATCH, seed=2)), torch.device(way.device))
-    tables = [model.albedo.grid.tables, model.irradiance.grid.tables]
-    decoders = [*model.albedo.decoder.parameters(), *model.irradiance.decoder.parameters()]
-    groups = zip(GROUPS, (tables, decoders, model.photo_parameters()), strict=True)
     with computing(way):
-        encoded = torch.cat([model.albedo.grid(samples.uv), model.irradiance.grid(samples.position)], dim=1)
-        loss = optimise.model_loss(model, samples, TERMS)
-        found = {name: torch.autograd.grad(loss, own, retain_graph=True) for name, own in groups}
-    gradients = {
-        name: torch.cat([part.double().reshape(-1).cpu() for part in parts]) / way.loss_scale
-        for name, parts in found.items()
-    }
-    return Step(encoded.detach().double().cpu(), float(loss.detach().double()) / way.loss_scale, gradients)
+        loss, found = optimise.step_for(model, TERMS, list(model.parameters()), 0.0).gradients(samples)
+        with torch.no_grad():
+            fields = torch.cat(
+                [model.albedo(samples.uv), model.light(samples.position, samples.photo)], dim=1
+            )
+    parts: dict[str, list[torch.Tensor]] = {name: [] for name in GROUPS}
+    for name, gradient in found.items():
+        group = "tables" if name.endswith("tables") else "decoders" if ".decoder." in name else "photos"
+        parts[group].append(torch.as_tensor(gradient).double().reshape(-1).cpu())
+    gradients = {name: torch.cat(own) / way.loss_scale for name, own in parts.items()}
+    return Step(fields.double().cpu(), float(loss) / way.loss_scale, gradients)
 
 
 def compare(row: Row, step: Step, exact: Step) -> None:
     """Put a step's errors into its row."""
-    row.encode = relative(step.encoded, exact.encoded)[0]
+    row.fields = relative(step.fields, exact.fields)[0]
     row.loss = abs(step.loss - exact.loss) / exact.loss
     row.gradients = {name: relative(step.gradients[name], exact.gradients[name]) for name in GROUPS}
 
@@ -250,13 +247,13 @@ def texel_centres() -> np.ndarray:
 def step_table(rows: list[Row]) -> str:
     """Errors of one step as a Markdown table; gradients as L2 / largest."""
     lines = [
-        f"| one step against float64 | encoding | loss | {' | '.join(f'gradient of {name}' for name in GROUPS)} |",
+        f"| one step against float64 | fields | loss | {' | '.join(f'gradient of {name}' for name in GROUPS)} |",
         "|---|---:|---:|---:|---:|---:|",
     ]
     for row in rows:
         if row.gradients is not None:
             pairs = [f"{row.gradients[name][0]:.1e} / {row.gradients[name][1]:.1e}" for name in GROUPS]
-            lines.append(f"| {row.name} | {row.encode:.1e} | {row.loss:.1e} | {' | '.join(pairs)} |")
+            lines.append(f"| {row.name} | {row.fields:.1e} | {row.loss:.1e} | {' | '.join(pairs)} |")
     return "\n".join(lines)
 
 

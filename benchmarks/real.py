@@ -39,7 +39,9 @@ def main() -> None:
         row = [(name, f"{title}, unlit"), *lit]
         tiles.append([caption(read(out / f"{file}.png")[0], words) for file, words in row])
     write(out / "real.png", grid(tiles))
-    print(f"held-out photos: {report['held_out_psnr']:.1f} dB, {report['seconds']}\n{out / 'real.png'}")
+    for line in report["plan"]:
+        print(f"{line['what']}: {line['choice']} ({line['reason']})")
+    print(f"held-out photos: {report['held_out_psnr']} dB, {report['seconds']}\n{out / 'real.png'}")
 
 
 def render(options: argparse.Namespace, out: Path) -> None:

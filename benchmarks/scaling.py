@@ -1,6 +1,6 @@
-"""Cost against the size of the scene: `python3 dev.py bench scaling [--quick] [--out DIR]`.
+"""Cost of the paper's model against the size of the scene: `python3 dev.py bench scaling [--quick] [--out DIR]`.
 
-Runs `dante-w recover` in a fresh process on synthetic scenes that grow in one way at a time: photos, pixels per
+Runs `dante-w recover --irradiance field` in a fresh process on synthetic scenes that grow in one way at a time: photos, pixels per
 photo, texels. Prints seconds per stage, memory, and how fast each grows; writes scaling.png and scaling.json.
 """
 
@@ -136,7 +136,8 @@ def shapes(options: argparse.Namespace) -> list[Shape]:
 def recover(shape: Shape, preset: str, scene: Path, mesh: Mesh, frames: list[Frame], result: Path) -> Run:
     """Run the product on a scene of this shape."""
     write_scene_folder(scene, mesh, frames, shape.photos)
-    arguments = ["recover", str(scene), "--preset", preset, "--texture-size", str(shape.texture_side)]
+    arguments = ["recover", str(scene), "--irradiance", "field", "--preset", preset]
+    arguments += ["--texture-size", str(shape.texture_side)]
     with largest_cache_file(result) as cache_file:
         report, total = dante_w(arguments, result)
     seconds = {**report["seconds"], END: total - sum(report["seconds"].values()), TOTAL: total}

@@ -1,6 +1,6 @@
 """How right the expected seconds are: `python3 dev.py bench time_estimate SCENE... [--preset P...] [--repeat N] [--json]`.
 
-Recovers each scene under each preset and compares report.json's `expected` with what it then took, stage by stage and from
+Recovers each scene by the paper's model under each preset and compares report.json's `expected` with what it then took, stage by stage and from
 start to end of the command. Run it on a machine that does nothing else: an expectation is made from one second of it.
 Prints a Markdown table and the worst error of a total.
 """
@@ -33,7 +33,7 @@ def main() -> None:
         for scene in options.scenes:
             for preset in options.preset:
                 out = options.out / scene.name / preset
-                arguments = ["recover", str(scene), "--preset", preset]
+                arguments = ["recover", str(scene), "--irradiance", "field", "--preset", preset]
                 if (scene / "mesh.obj").is_file():  # GigaLit's folders do not name their mesh
                     arguments += ["--mesh", str(scene / "mesh.obj")]
                 if options.texture_size:

@@ -1,4 +1,4 @@
-"""Accuracy against time: `python3 dev.py bench tradeoff DIR [--knobs steps batch] [--minutes 45] [--json]`.
+"""Accuracy of the paper's model against time: `python3 dev.py bench tradeoff DIR [--knobs steps batch] [--minutes 45] [--json]`.
 
 DIR holds scene folders as `gigalit` wants them. Every preset, and `standard` with one knob turned at a time, runs
 on every object. Prints a Markdown table of the means and writes tradeoff.json and a figure with the Pareto front to
@@ -231,7 +231,15 @@ def run(setting: Setting, scene: Path, device: str, out: Path) -> dict[str, Any]
     load = psutil.getloadavg()[0]
     result = out / "result"
     shutil.rmtree(result, ignore_errors=True)
-    command = [sys.executable, str(VARIANT), json.dumps(setting.inside), "recover", str(scene)]
+    command = [
+        sys.executable,
+        str(VARIANT),
+        json.dumps(setting.inside),
+        "recover",
+        str(scene),
+        "--irradiance",
+        "field",
+    ]
     command += ["--mesh", str(scene / "mesh.obj"), "--preset", setting.preset, "--device", device]
     start = time.monotonic()
     done = subprocess.run(

@@ -159,12 +159,46 @@ class Driver:
     def press(self, operator, **values):
         """Click the button of `operator`."""
         x, y = yield from self.find(operator, **values)
-        yield 0.2
+        yield from self.click(x, y)
+        print(f"pressed {operator} {values or ''} at {x}, {y}", flush=True)
+
+    def click(self, x, y):
+        """Click there, as a user would."""
+        yield from self.move(x, y, 0.3)
         self.event("LEFTMOUSE", "PRESS", x, y)
         yield 0.1
         self.event("LEFTMOUSE", "RELEASE", x, y)
         yield 0.3
-        print(f"pressed {operator} {values or ''} at {x}, {y}", flush=True)
+
+    def pick_known_colours(self, name):
+        """Open the sub-panel, whose header is the line above Recover, and pick two spots on the mesh."""
+
+        def spots():  # undo makes former references invalid
+            return bpy.data.objects[name].dante_w_known_colours
+
+        x, y = yield from self.find("recover")
+        yield from self.click(x, y + 22)
+        middle = self.view.x + (self.sidebar.x - self.view.x) // 2, self.view.y + self.view.height // 2
+        yield from self.press("pick_known_colour")
+        yield from self.click(self.view.x + 100, self.view.y + 20)  # beside the mesh
+        assert not spots()
+        yield from self.shot("picking")
+        yield from self.click(*middle)
+        assert len(spots()) == 1
+        for step, expected in ((bpy.ops.ed.undo, 0), (bpy.ops.ed.redo, 1)):
+            with bpy.context.temp_override(window=self.window):
+                step()
+            yield 0.5
+            assert len(spots()) == expected
+        yield from self.press("pick_known_colour")
+        self.event("ESC", "PRESS", *middle)
+        yield 0.3
+        assert len(spots()) == 1
+        yield from self.press("pick_known_colour")
+        yield from self.click(middle[0] - 150, middle[1] + 200)
+        spot = spots()[1]
+        spot.grey, spot.colour = False, (0.7, 0.4, 0.2)
+        yield from self.rest()
 
     def move(self, x, y, seconds=0.1):
         self.event("MOUSEMOVE", "NOTHING", x, y)
@@ -240,8 +274,12 @@ def story(options: argparse.Namespace):
     yield from driver.rest()
     yield from driver.shot("panel-source")
 
+    yield from driver.pick_known_colours(name)
+    obj = bpy.data.objects[name]
+    yield from driver.shot("panel-known-colours")
+
     yield from driver.press("recover")
-    yield from driver.wait_for(lambda: job.recovering() and job.recovery.progress.loss, 300.0, "optimising")
+    yield from driver.wait_for(lambda: job.recovering() and job.recovery.progress.plan, 300.0, "planned")
     yield 1.0
     yield from driver.rest()
     yield from driver.shot("panel-running")

@@ -82,6 +82,13 @@ def test_photos_become_an_albedo(addon, rendered, backend_python):
     assert middle / middle.sum() == pytest.approx(ALBEDO / ALBEDO.sum(), abs=0.08), "the hue is the albedo's"
 
 
+def test_a_known_colour_is_met(addon, rendered, backend_python):
+    encoded = 1.055 * ALBEDO ** (1.0 / 2.4) - 0.055
+    bpy.ops.dantew.pick_known_colour(location=(0, 0, 1), grey=False, colour=tuple(encoded))
+    recover(1024)
+    assert np.median(seen_colours(rendered), axis=0) == pytest.approx(ALBEDO, rel=0.1)
+
+
 def test_new_uvs_come_with_the_albedo(addon, rendered, backend_python):
     while rendered.data.uv_layers:
         rendered.data.uv_layers.remove(rendered.data.uv_layers[0])

@@ -80,6 +80,16 @@ def test_exit_codes(blend, tmp_path, more, mode, code, said):
     assert not list(tmp_path.glob("out/*.blend"))
 
 
+def test_what_to_model_reaches_the_backend(blend, tmp_path):
+    options = ["--irradiance", "field", "--model", "groups", "--model", "bounce", "--leave-out", "gloss"]
+    assert run(blend, tmp_path / "out", *options).returncode == 0
+    given = json.loads((tmp_path / "out/report.json").read_text())["arguments"]
+    assert " ".join(options) in " ".join(given)
+    assert run(blend, tmp_path / "other").returncode == 0
+    given = json.loads((tmp_path / "other/report.json").read_text())["arguments"]
+    assert given[given.index("--irradiance") + 1] == "traced" and "--model" not in given
+
+
 def test_a_missing_blend_is_bad_input(tmp_path):
     done = run(tmp_path / "none.blend", tmp_path / "out")
     assert done.returncode == 2 and "none.blend" in done.stderr

@@ -4,12 +4,14 @@ import os
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import bpy
 import pytest
 from conftest import HERE, ROOT
 
 from dante_w_addon import job, material, panels
+from dante_w_addon.process import STAGES, Progress, decisions
 
 
 def finish(seconds=20.0):
@@ -43,7 +45,8 @@ def test_to_done(addon, standin, scene, tmp_path, monkeypatch):
     assert texture.packed_file and texture.colorspace_settings.name == "sRGB"
     assert [round(255 * value) for value in texture.pixels[:3]] == [200, 120, 40]
     assert panels.expectation(progress.expected) == "About 40 s, 25 dB on test objects"
-    assert progress.stage == "optimise", "an expectation is not a stage"
+    assert progress.stage == "optimise", "an expectation is not a stage, nor is a plan"
+    assert [(line["what"], line["choice"]) for line in progress.plan] == [("groups", "one light")]
     report = material.report_of(cube)
     assert ("Took (expected)", "42 s (40 s)") in panels.facts(report)
     assert report["python_variables"] == [], "the environment was not stripped"
@@ -66,6 +69,45 @@ def test_what_the_backend_leaves_open_is_left_out(expected, said):
     assert ("Took" in lines) == (said == "")
 
 
+def test_lines_of_a_plan_that_say_too_little_are_left_out():
+    whole = {"what": "gloss", "choice": "on", "reason": "all surfaces shine", "costs": "time"}
+    assert decisions([whole, {"what": "gloss"}, {**whole, "reason": 3}, "gloss"]) == [whole]
+    assert decisions(None) == decisions({"what": "gloss"}) == []
+
+
+def test_stages_are_counted_whichever_model_runs():
+    for stages in STAGES.values():
+        number, of = Progress(stage=stages[-4]).place
+        assert (number, of) == (len(stages) - 3, len(stages)) and stages[number - 1] == stages[-4]
+    assert Progress(stage="resting").place == (0, 0)
+
+
+def test_panels_draw_a_plan(addon, standin, scene):
+    """In a window they are drawn with a layout; here with one that notes what it is told."""
+    bpy.ops.dantew.recover()
+    plan = finish().plan
+    said = []
+
+    class Layout(SimpleNamespace):
+        def panel(self, idname, default_closed):
+            assert default_closed
+            return self, self
+
+        def column(self, **_):
+            return self
+
+        def label(self, text, **_):
+            said.append(text)
+
+    system = SimpleNamespace(ui_scale=1.0)
+    context = SimpleNamespace(preferences=SimpleNamespace(system=system), region=SimpleNamespace(width=600))
+    panels._draw_plan(context, Layout(), plan)
+    assert said == ["Plan", "Groups: one light", "held-out photos say so"]
+    said.clear()
+    panels._draw_plan(context, Layout(), [])
+    assert said == []
+
+
 def test_options_reach_the_backend(addon, standin, scene, tmp_path):
     settings = scene.dante_w
     settings.preset, settings.texture_size, settings.device = "draft", "1024", "cpu"
@@ -76,6 +118,14 @@ def test_options_reach_the_backend(addon, standin, scene, tmp_path):
     for words in ("--preset draft", "--texture-size 1024", "--device cpu", "--format exr", "--unwrap"):
         assert words in said
     assert f"--priors {tmp_path}" in said
+    assert "--irradiance traced" in said and "--model" not in said and "--leave-out" not in said
+    settings.irradiance, settings.model_groups, settings.model_gloss = "field", "ON", "OFF"
+    bpy.ops.dantew.recover()
+    finish()
+    said = " ".join(material.report_of(bpy.context.view_layer.objects.active)["arguments"])
+    for words in ("--irradiance field", "--model groups", "--leave-out gloss"):
+        assert words in said
+    assert said.count("--model") == said.count("--leave-out") == 1
 
 
 def test_files_of_a_former_run_are_not_taken(addon, standin, scene, tmp_path):

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import bpy
 
-from . import export, hdris, preferences, relight, result
+from . import export, hdris, known_colours, preferences, properties, relight, result
 from .paths import file_name, scene_folder
 from .process import Process, Progress
 
@@ -62,6 +62,21 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--format", default="png", choices=("png", "png16", "exr"))
     parser.add_argument("--priors", default="", metavar="DIR", help="albedo images named like the photos")
     parser.add_argument("--unwrap", action="store_true", help="make new UVs")
+    parser.add_argument(
+        "--known",
+        nargs=3,
+        action="append",
+        metavar=("U", "V", "COLOUR"),
+        help="albedo known at a texture coordinate: grey, or #RRGGBB (default: the spots picked on the mesh)",
+    )
+    parser.add_argument(
+        "--irradiance", default="traced", choices=("traced", "field"), help="how light is modelled"
+    )
+    for option, words in (
+        ("--model", "model this part of the light in any case"),
+        ("--leave-out", "never model it"),
+    ):
+        parser.add_argument(option, action="append", default=[], choices=tuple(properties.PARTS), help=words)
     parser.add_argument("--pack", action="store_true", help="keep the images inside the .blend")
     parser.add_argument("--relight", metavar="HDRI", help="a preset's name, an .hdr/.exr file, or 'all'")
     parser.add_argument("--samples", type=int, default=32, help="Cycles samples of the relight preview")
@@ -81,6 +96,7 @@ def _run(options: argparse.Namespace) -> int:
     out = options.out.resolve()
     lights = _lights(options.relight)
     obj = _mesh_object(options.object)
+    known = _known(options, obj)
     python = options.backend_python or preferences.backend_python()
     if python is None:
         raise scene_folder.BadInput(
@@ -97,6 +113,10 @@ def _run(options: argparse.Namespace) -> int:
         file_format=options.format,
         priors=str(Path(options.priors).resolve()) if options.priors else "",
         unwrap_mesh=options.unwrap,
+        known=known,
+        irradiance=options.irradiance,
+        model=options.model,
+        leave_out=options.leave_out,
     )
     try:
         process = Process(command)
@@ -136,6 +156,19 @@ def _mesh_object(name: str | None) -> bpy.types.Object:
     if len(meshes) != 1:
         raise scene_folder.BadInput(f"The scene has {len(meshes)} meshes; name one with --object.")
     return meshes[0]
+
+
+def _known(options: argparse.Namespace, obj: bpy.types.Object) -> Sequence[Sequence[str]]:
+    if options.known and options.unwrap:
+        raise scene_folder.BadInput("--known names places on the present UV map; leave out --unwrap.")
+    if options.known:
+        return options.known
+    if not hasattr(obj, "dante_w_known_colours"):  # batch.py, where the add-on is off
+        known_colours.register()
+    problem = known_colours.problem(obj, options.unwrap)
+    if problem:
+        raise scene_folder.BadInput(problem)
+    return known_colours.words(obj)
 
 
 def _lights(choice: str | None) -> list[Path]:

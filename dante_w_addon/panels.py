@@ -6,8 +6,8 @@ import textwrap
 
 import bpy
 
-from . import hdris, job, material, preferences, properties, relight_operators, survey
-from .process import STAGES
+from . import hdris, job, known_colours, material, preferences, properties, relight_operators, survey
+from .process import decisions
 
 MAX_PROBLEMS = 4
 
@@ -66,6 +66,10 @@ class DANTEW_PT_recover(_Panel, bpy.types.Panel):
             column.prop(settings, "storage")
             column.prop(settings, "output_folder", placeholder="Beside the .blend")
             column.prop(settings, "unwrap")
+            column.prop(settings, "irradiance")
+            if settings.irradiance == "traced":
+                _draw_parts(body, settings)
+        _draw_known_colours(context, layout)
         if job.recovering():
             _draw_progress(context, layout, job.recovery)
             return
@@ -97,6 +101,7 @@ class DANTEW_PT_result(_Panel, bpy.types.Panel):
             split = column.split(factor=0.55)
             split.label(text=name)
             split.label(text=value)
+        _draw_plan(context, layout, decisions(report.get("plan")))
         layout.operator("dantew.open_report", icon="TEXT")
 
 
@@ -174,9 +179,51 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
+def _draw_known_colours(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
+    obj = survey.active_mesh(context)
+    spots = known_colours.of(obj) if obj is not None else ()
+    header, body = layout.panel("DANTEW_known_colours", default_closed=True)
+    header.label(text=f"Known Colours ({len(spots)})" if spots else "Known Colours")
+    if body is None:
+        return
+    column = body.column(align=True)
+    column.enabled = not job.recovering()
+    for index, spot in enumerate(spots):
+        split = column.split(factor=0.1)
+        split.label(text=str(index + 1))  # as the ring in the 3D view
+        row = split.row(align=True)
+        row.prop(spot, "grey", toggle=True)
+        colour = row.row(align=True)
+        colour.enabled = not spot.grey
+        colour.prop(spot, "colour", text="")
+        row.operator("dantew.remove_known_colour", text="", icon="X").index = index
+    column.operator("dantew.pick_known_colour", text="Pick on Mesh", icon="EYEDROPPER")
+
+
+def _draw_parts(layout: bpy.types.UILayout, settings: properties.DANTEW_PG_settings) -> None:
+    header, body = layout.panel("DANTEW_parts", default_closed=True)
+    header.label(text="What to Model")
+    if body is not None:
+        column = _properties(body)
+        column.enabled = not job.recovering()
+        for part in properties.PARTS:
+            column.prop(settings, f"model_{part}")
+
+
+def _draw_plan(context: bpy.types.Context, layout: bpy.types.UILayout, plan: list[dict[str, str]]) -> None:
+    if not plan:
+        return
+    header, body = layout.panel("DANTEW_plan", default_closed=True)
+    header.label(text="Plan")
+    if body is not None:
+        for line in plan:
+            _sentence(context, body, f"{line['what'].capitalize()}: {line['choice']}", "DOT")
+            _sentence(context, body, line["reason"], "BLANK1")
+
+
 def _draw_progress(context: bpy.types.Context, layout: bpy.types.UILayout, recovery: job.Recovery) -> None:
     progress = recovery.progress
-    number = STAGES.index(progress.stage) + 1 if progress.stage in STAGES else 0
+    number, stages = progress.place
     name = progress.stage.capitalize()
     layout.progress(
         factor=progress.fraction, text=f"{name}  {progress.fraction:.0%}" if progress.total else name
@@ -185,11 +232,13 @@ def _draw_progress(context: bpy.types.Context, layout: bpy.types.UILayout, recov
     expected = expectation(progress.expected)
     if expected:
         column.label(text=expected, icon="INFO")
-    column.label(text=f"Stage {number} of {len(STAGES)}")
+    if number:
+        column.label(text=f"Stage {number} of {stages}")
     if progress.seconds_left is not None:
         column.label(text=f"{duration(progress.seconds_left)} left", icon="TIME")
     if progress.loss is not None:
         column.label(text=f"Loss {progress.loss:.4f}", icon="GRAPH")
+    _draw_plan(context, layout, progress.plan)
     if progress.silent:
         text = f"Nothing heard from the backend for {duration(progress.silent)}; it may be stuck."
         _sentence(context, layout, text, "ERROR")

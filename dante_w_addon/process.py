@@ -21,7 +21,10 @@ from typing import Any
 GRACE = 0.8
 #: Seconds of silence after which the user is told; the backend promises a line a second.
 SILENCE = 20.0
-STAGES = ("scene", "unwrap", "rays", "optimise", "held-out", "final pass", "bake", "write")
+STAGES = {
+    "traced": ("scene", "unwrap", "rays", "transfer", "plan", "lights", "albedo", "bake", "write"),
+    "field": ("scene", "unwrap", "rays", "optimise", "held-out", "final pass", "bake", "write"),
+}
 CANCELLED = 3
 
 
@@ -158,6 +161,15 @@ def _parse(line: str) -> dict[str, Any] | None:
     return message if isinstance(message, dict) and "stage" in message else None
 
 
+def decisions(plan: Any) -> list[dict[str, str]]:
+    """The lines of a plan that say `what` is decided, the `choice` and its `reason`; others are left out."""
+    said = ("what", "choice", "reason")
+    lines = plan if isinstance(plan, list) else []
+    return [
+        line for line in lines if isinstance(line, dict) and all(isinstance(line.get(k), str) for k in said)
+    ]
+
+
 def _number(value: Any) -> float | None:
     """A finite number, or None."""
     return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
@@ -174,6 +186,7 @@ class Progress:
     loss: float | None = None
     seconds_left: float | None = None
     expected: dict[str, Any] = field(default_factory=dict)
+    plan: list[dict[str, str]] = field(default_factory=list)
     out: str = ""
     report: dict[str, Any] = field(default_factory=dict)
     code: int = 0
@@ -184,6 +197,12 @@ class Progress:
     def fraction(self) -> float:
         """Part of the present stage that is done."""
         return min(max(self.step / self.total, 0.0), 1.0) if self.total else 0.0
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Number of the present stage, 0 if unknown, and how many there are, whichever model runs."""
+        stages = next((own for own in STAGES.values() if self.stage in own), ())
+        return (stages.index(self.stage) + 1 if stages else 0), len(stages)
 
     @property
     def silent(self) -> float:
@@ -209,6 +228,8 @@ class Progress:
             self.code, self.message = int(message.get("code", 1)), str(message.get("message", ""))
         elif message["stage"] == "expected":
             self.expected = {key: value for key, value in message.items() if key != "stage"}
+        elif message["stage"] == "planned":
+            self.plan = decisions(message.get("decisions"))
         else:
             self.stage = str(message["stage"])
             self.step, self.total = _number(message.get("step")) or 0.0, _number(message.get("total")) or 0.0

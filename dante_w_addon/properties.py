@@ -35,10 +35,35 @@ FORMATS = (
     ("png16", "PNG 16", "16 bits a channel"),
     ("exr", "OpenEXR", "Linear, floating point"),
 )
+IRRADIANCE = (
+    (
+        "traced",
+        "Traced",
+        "Light traced through the mesh: lights and exposures are solved for, then the albedo",
+    ),
+    ("field", "Paper's Field", "The paper's model: albedo and irradiance are two fields, fitted together"),
+)
+CHOICES = (
+    ("AUTO", "Automatic", "As the plan finds it worth while"),
+    ("ON", "On", "Model it whatever the plan finds"),
+    ("OFF", "Off", "Do not model it"),
+)
+#: Parts of the light as the backend names them, with the panel's words.
+PARTS = {
+    "groups": ("Several Lights", "Whether photos differ in their light"),
+    "exposures": ("Exposures", "Whether photos differ in their exposure"),
+    "bounce": ("Bounced Light", "Light that comes from the mesh itself"),
+    "gloss": ("Gloss", "What the surface shines beside its diffuse colour"),
+}
 STORAGE = (
     ("PACK", "Pack", "Keep the images inside the .blend"),
     ("FILE", "Keep as Files", "Leave the images in the output folder"),
 )
+
+
+def _choice(part: str) -> EnumProperty:
+    name, text = PARTS[part]
+    return EnumProperty(name=name, description=text, items=CHOICES)
 
 
 class DANTEW_PG_settings(bpy.types.PropertyGroup):
@@ -57,6 +82,11 @@ class DANTEW_PG_settings(bpy.types.PropertyGroup):
         name="Make New UVs",
         description="Unwrap the mesh anew, where its UV map is missing or overlaps itself",
     )
+    irradiance: EnumProperty(name="Light", description="How light is modelled", items=IRRADIANCE)
+    model_groups: _choice("groups")
+    model_exposures: _choice("exposures")
+    model_bounce: _choice("bounce")
+    model_gloss: _choice("gloss")
     output_folder: StringProperty(
         name="Output",
         description="Where scene and result folders go; a folder beside the .blend if empty",
@@ -70,6 +100,15 @@ class DANTEW_PG_settings(bpy.types.PropertyGroup):
         name="Strength", description="Brightness of the light", default=1.0, min=0.0, soft_max=5.0
     )
     samples: IntProperty(name="Samples", description="Cycles samples a pixel", default=32, min=1, max=4096)
+
+
+def parts(settings: DANTEW_PG_settings) -> dict[str, list[str]]:
+    """Which parts of the light to `model` and which to `leave_out`, whatever the plan finds."""
+    chosen = {part: getattr(settings, f"model_{part}") for part in PARTS}
+    return {
+        word: [part for part, choice in chosen.items() if choice == wanted]
+        for word, wanted in (("model", "ON"), ("leave_out", "OFF"))
+    }
 
 
 def of(scene: bpy.types.Scene) -> DANTEW_PG_settings:

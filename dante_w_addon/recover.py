@@ -7,7 +7,19 @@ from pathlib import Path
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
-from . import export, import_scene, job, material, photos, preferences, properties, result, survey, windows
+from . import (
+    export,
+    import_scene,
+    job,
+    known_colours,
+    material,
+    photos,
+    preferences,
+    properties,
+    result,
+    survey,
+    windows,
+)
 from .paths import is_temporary, run_folder, scene_folder
 
 
@@ -100,6 +112,9 @@ class DANTEW_OT_recover(bpy.types.Operator):
                 file_format=settings.file_format,
                 priors=bpy.path.abspath(settings.prior_folder) if settings.prior_folder else "",
                 unwrap_mesh=settings.unwrap,
+                known=known_colours.words(obj),
+                irradiance=settings.irradiance,
+                **properties.parts(settings),
             )
             # Images in a folder that goes with Blender's end would be lost.
             pack = settings.storage == "PACK" or is_temporary(folder)

@@ -23,9 +23,13 @@ def recover_command(
     file_format: str = "png",
     priors: str = "",
     unwrap_mesh: bool = False,
-    extra: Sequence[str] = (),
+    known: Sequence[Sequence[str]] = (),
+    irradiance: str = "traced",
+    model: Sequence[str] = (),
+    leave_out: Sequence[str] = (),
 ) -> list[str]:
-    """The command line that recovers `scene` into `out`; see docs/architecture.md."""
+    """The command line that recovers `scene` into `out`; see docs/architecture.md. `known`: U, V, COLOUR each; `model`
+    and `leave_out`: parts of the light."""
     command = [
         python,
         "-I",
@@ -39,13 +43,19 @@ def recover_command(
         "--json",
     ]
     command += ["--preset", preset, "--device", device, "--format", file_format]
+    command += ["--irradiance", irradiance]
     if texture_size:
         command += ["--texture-size", str(texture_size)]
     if priors:
         command += ["--priors", priors]
     if unwrap_mesh:
         command.append("--unwrap")
-    return [*command, *extra]
+    for spot in known:
+        command += ["--known", *spot]
+    for option, parts in (("--model", model), ("--leave-out", leave_out)):
+        for part in parts:
+            command += [option, part]
+    return command
 
 
 def take_in(obj: bpy.types.Object, out: Path, pack: bool) -> bpy.types.Object:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import bpy
 
-from . import mesh, photos, properties
+from . import known_colours, mesh, photos, properties
 
 MAX_AGE = 2.0  # seconds: whether thousands of files exist is not asked at every redraw
 
@@ -44,6 +44,7 @@ def take(scene: bpy.types.Scene, obj: bpy.types.Object | None) -> Survey:
     found = photos.found(scene)
     key = (
         *(scene.name_full, obj.name_full if obj else "", len(found), len(scene.objects)),
+        len(known_colours.of(obj)) if obj else 0,
         *(settings.unwrap, settings.prior_folder, scene.camera, render.resolution_x, render.resolution_y),
     )
     if _last is not None and _last[1] == key and time.monotonic() - _last[0] < MAX_AGE:
@@ -60,6 +61,9 @@ def _problems(
 ) -> Iterator[str]:
     if obj is not None and not settings.unwrap and mesh.render_uv_map(obj.data) is None and not obj.modifiers:
         yield f"{obj.name} has no UV map; unwrap it, or turn on Options > Make New UVs."
+    known = known_colours.problem(obj, settings.unwrap) if obj is not None else None
+    if known:
+        yield known
     if not found:
         yield "No camera has a background image; add photos, or import a scene folder."
     if settings.prior_folder and not os.path.isdir(bpy.path.abspath(settings.prior_folder)):

@@ -5,12 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 from dante_w import __version__
 from dante_w.errors import BAD_INPUT, DONE
 from dante_w.job import run
+
+#: Parts of the light that a plan decides on, see `traced.lights.Parts`.
+PARTS = ("groups", "exposures", "bounce", "gloss")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -21,6 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(json.dumps(examine()) if options.json else "\n".join(f"{k}: {v}" for k, v in examine().items()))
         return DONE
+    if options.command == "plan":
+        options.out, options.known = Path(tempfile.mkdtemp(prefix="dante-w-")), []
     return run(options.command, options)
 
 
@@ -29,36 +35,65 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(dest="command", required=True)
     recover = commands.add_parser("recover", help="recover the albedo texture of a scene")
+    plan = commands.add_parser("plan", help="say what recover would model of a scene, and why")
     average = commands.add_parser("average", help="average the photos on the texture: light stays baked in")
     doctor = commands.add_parser("doctor", help="say which device, libraries and memory would be used")
-    for command in (recover, average):
+    for command in (recover, average, plan):
         command.add_argument("scene", type=Path, help="scene folder, or the parent of a COLMAP model")
-        command.add_argument("--out", type=Path, required=True, help="folder for the result")
         command.add_argument("--mesh", type=Path, help="OBJ, PLY or GLB, if not the scene's own")
         command.add_argument("--images", type=Path, help="photos of a COLMAP model (default: images/)")
         command.add_argument("--texture-size", type=_size, metavar="N", help="texels a side (default 2048)")
         command.add_argument("--format", choices=("png", "png16", "exr"), default="png")
         command.add_argument("--unwrap", action="store_true", help="make new UVs; mesh.obj is written too")
-    recover.add_argument("--priors", type=Path, metavar="DIR", help="albedo images named like the photos")
-    recover.add_argument("--preset", choices=("draft", "standard", "high", "paper"), default="standard")
+    for command in (recover, average):
+        command.add_argument("--out", type=Path, required=True, help="folder for the result")
+    for command in (recover, plan):
+        command.add_argument("--priors", type=Path, metavar="DIR", help="albedo images named like the photos")
+        command.add_argument("--preset", choices=("draft", "standard", "high", "paper"), default="standard")
+        command.add_argument(
+            "--lambda", dest="prior_weight", type=_weight, default=1.0, metavar="X", help="prior weight"
+        )
+        command.add_argument("--seed", type=int, default=0)
+        for option, name, help_text in (
+            ("--model", "model", "model this part of the light whatever the plan finds (repeatable)"),
+            ("--leave-out", "leave_out", "do not model this part (repeatable)"),
+        ):
+            command.add_argument(
+                option, dest=name, action="append", choices=PARTS, default=[], help=help_text
+            )
     recover.add_argument(
         "--irradiance",
-        choices=("field", "traced"),
-        default="field",
-        help="light as the paper's field over space, or (new) traced through the mesh; no priors with that yet",
+        choices=("traced", "field"),
+        help="light traced through the mesh (default), or the paper's field over space",
     )
     recover.add_argument(
-        "--lambda", dest="prior_weight", type=_weight, default=1.0, metavar="X", help="prior weight"
+        "--known",
+        nargs=3,
+        action=_Known,
+        default=[],
+        metavar=("U", "V", "COLOUR"),
+        help="albedo at a texture coordinate: grey, or sRGB like #7A7A79 (repeatable)",
     )
     recover.add_argument("--device", choices=("auto", "cpu", "cuda", "mps"), default="auto")
-    recover.add_argument("--seed", type=int, default=0)
     recover.add_argument("--keep-held-out", action="store_true", help="never fit to the held-out photos")
     ablations = recover.add_argument_group("ablations of the paper")
     ablations.add_argument("--no-photometric", action="store_true", help="lift the priors only (w/o PR)")
     ablations.add_argument("--equal-bands", action="store_true", help="irradiance as fine as albedo")
-    for command in (recover, average, doctor):
+    for command in (recover, average, plan, doctor):
         command.add_argument("--json", action="store_true", help="one JSON object a line")
     return parser
+
+
+class _Known(argparse.Action):
+    """Appends a `KnownColour`."""
+
+    def __call__(self, parser, namespace, values, option_string=None):  # type: ignore[no-untyped-def]
+        from dante_w.texture.known_colours import parse
+
+        try:
+            setattr(namespace, self.dest, [*getattr(namespace, self.dest), parse(*values)])
+        except ValueError as error:
+            parser.error(f"argument {option_string}: {error}")
 
 
 class _Parser(argparse.ArgumentParser):

@@ -21,7 +21,7 @@ from dante_w.result_folder import abandon, is_full, publish, stage
 
 
 def run(command: str, options: argparse.Namespace) -> int:
-    """Run `recover` or `average`; returns the exit code."""
+    """Run `recover`, `average` or `plan`; returns the exit code."""
     progress = Progress(options.json)
     outcome: dict[str, Any] = {}
     finished = threading.Event()
@@ -40,7 +40,10 @@ def run(command: str, options: argparse.Namespace) -> int:
         try:
             report = _work(command, options, progress)
             with publishing:
-                publish(options.out)
+                if command == "plan":
+                    abandon(options.out)
+                else:
+                    publish(options.out)
                 outcome["report"] = report
         except BaseException as error:
             outcome["error"] = error
@@ -57,7 +60,10 @@ def run(command: str, options: argparse.Namespace) -> int:
     if "error" in outcome:
         abandon(options.out)
         return _explain(options.json, outcome["error"])
-    if options.json:
+    if command == "plan":
+        if options.json:
+            progress.say({"stage": "done", "report": outcome["report"]})
+    elif options.json:
         progress.say({"stage": "done", "out": str(options.out.resolve()), "report": outcome["report"]})
     else:
         print(f"done: {options.out}")
@@ -69,9 +75,9 @@ def _work(command: str, options: argparse.Namespace, progress: Progress) -> dict
 
     progress.update("scene", 0, 1)
     staging = stage(options.out)
-    report: dict[str, Any] = {"recover": recover.recover, "average": recover.average}[command](
-        options, staging, progress
-    )
+    report: dict[str, Any] = {"recover": recover.recover, "average": recover.average, "plan": recover.plan}[
+        command
+    ](options, staging, progress)
     return report
 
 

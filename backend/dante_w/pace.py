@@ -20,7 +20,8 @@ import torch
 from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.held_out import SCHEDULE
 from dante_w.model.optimise import LossTerms, Schedule, fit, psnr
-from dante_w.rays.ray_cache import RayCache, Surface
+from dante_w.model.presets import sized
+from dante_w.rays.ray_cache import RayCache, Surface, face_geometry, footprints
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import Photo, read_photo, write_exr, write_png
@@ -105,7 +106,7 @@ def measure(
     frame3d = Frame3D.of(mesh.vertices)
     caster, building = _timed(lambda: Raycaster(mesh, frame3d))
     cache, ray = _cast(chosen, photos, mesh, caster, frame3d)
-    fit_seconds, texels = _fit(cache, fitting) if fitting else ((0.0, 0.0, 0.0), _grey)
+    fit_seconds, texels = _fit(cache, fitting, texture.side) if fitting else ((0.0, 0.0, 0.0), _grey)
     small = replace(texture, side=min(texture.side, SIDE))
     return Pace(
         reading / read,
@@ -123,7 +124,9 @@ def _cast(
 ) -> tuple[RayCache, float]:
     """Cast the photos' pixels, photo by photo as the run does; returns what they hit and the seconds a ray takes."""
     assert mesh.uvs is not None
-    faces, barys, colours, cast, seconds = [], [], [], 0, 0.0
+    corners = frame3d.normalise(mesh.vertices)[mesh.faces]
+    geometry = face_geometry(corners, mesh.uvs)
+    faces, barys, colours, spans, cast, seconds = [], [], [], [], 0, 0.0
     for frame, photo in zip(frames, photos, strict=True):
         if cast >= RAYS:
             break
@@ -139,24 +142,24 @@ def _cast(
         faces.append(hits.face)
         barys.append(hits.bary)
         colours.append(photo.srgb.reshape(-1, 3)[pixel[hits.ray]])
+        spans.append(footprints(frame, rays[hits.ray], hits, *geometry)[1])
     if not any(map(len, faces)):  # the run itself will say so if nothing is ever hit
         faces[0], barys[0], colours[0] = np.zeros(1, np.int32), np.zeros((1, 2)), np.full((1, 3), 0.5)
-    surface = Surface(
-        torch.from_numpy(mesh.uvs).float(),
-        torch.from_numpy(frame3d.normalise(mesh.vertices)[mesh.faces]).float(),
-    )
+        spans[0] = np.ones(1)
+    surface = Surface(torch.from_numpy(mesh.uvs).float(), torch.from_numpy(corners).float())
     colour = np.concatenate(colours).clip(0.0, 1.0).astype(np.float16)
     bary = np.rint(np.concatenate(barys) * 65535.0).astype(np.uint16)
     starts = np.cumsum([0, *map(len, faces)]).astype(np.int64)
     prior = colour if any(frame.albedo for frame in frames) else None
-    cache = RayCache(surface, starts, np.concatenate(faces).astype(np.int32), bary, colour, prior)
+    face, footprint = np.concatenate(faces).astype(np.int32), np.concatenate(spans).astype(np.float16)
+    cache = RayCache(surface, starts, face, bary, colour, prior, footprint)
     return cache, seconds / max(cast, 1)
 
 
-def _fit(cache: RayCache, fitting: Fitting) -> tuple[tuple[float, float, float], Texels]:
+def _fit(cache: RayCache, fitting: Fitting, texture_size: int) -> tuple[tuple[float, float, float], Texels]:
     """Seconds of a step, of a step on held-out photos, and of rendering a sample; and the albedo of a new model."""
     with torch.random.fork_rng(devices=[]):  # the run's own random numbers stay as they are
-        model = Model(fitting.spec, len(cache.starts) - 1).to(fitting.device)
+        model = Model(sized(fitting.spec, texture_size, cache), len(cache.starts) - 1).to(fitting.device)
     ranges = np.array([[0, len(cache)]])
     ends: list[float] = []
 

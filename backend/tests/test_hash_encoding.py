@@ -1,9 +1,11 @@
-"""The hash encoding against instant-NGP's definition, in values and gradients, on both paths."""
+"""The hash encoding against instant-NGP's definition, in values and gradients, in torch and in the kernels."""
 
 import numpy as np
 import pytest
 import torch
 from dante_w.model.hash_encoding import PRIMES, GridSpec, HashGrid, encode_reference, vertex_index
+from dante_w.model.kernels import BLOCK
+from dante_w.model.kernels.grid import Grid, encode, load, scatter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,6 +13,7 @@ SPECS = [
     GridSpec(2, levels=4, features=2, coarsest=3, finest=40, log2_table=8),
     GridSpec(3, levels=4, features=2, coarsest=2, finest=17, log2_table=9),
     GridSpec(2, levels=1, features=3, coarsest=5, finest=5, log2_table=4),
+    GridSpec(2, levels=3, features=3, coarsest=4, finest=16, log2_table=8, centred=True),
 ]
 
 
@@ -18,17 +21,21 @@ def brute_force(point: np.ndarray, tables: np.ndarray, spec: GridSpec) -> list[f
     """Eq. 2 to 4 of the paper for one point, in plain Python integers and floats."""
     result, start = [], 0
     for resolution, entries in zip(spec.resolutions, spec.entries, strict=True):
-        low = [min(int(c * resolution), resolution - 1) for c in point]
+        side = resolution if spec.centred else resolution + 1
+        place = [
+            min(max(c * resolution - 0.5, 0), side - 1) if spec.centred else c * resolution for c in point
+        ]
+        low = [min(int(c), side - 2) for c in place]
         features = np.zeros(spec.features)
         for corner in range(2**spec.dimensions):
             bits = [(corner >> axis) & 1 for axis in range(spec.dimensions)]
             weight = 1.0
             for axis, bit in enumerate(bits):
-                fraction = point[axis] * resolution - low[axis]
+                fraction = place[axis] - low[axis]
                 weight *= fraction if bit else 1.0 - fraction
             vertex = [a + b for a, b in zip(low, bits, strict=True)]
-            if (resolution + 1) ** spec.dimensions <= entries:
-                entry = sum(v * (resolution + 1) ** axis for axis, v in enumerate(vertex))
+            if side**spec.dimensions <= entries:
+                entry = sum(v * side**axis for axis, v in enumerate(vertex))
             else:
                 entry = 0
                 for v, prime in zip(vertex, PRIMES, strict=False):
@@ -41,45 +48,56 @@ def brute_force(point: np.ndarray, tables: np.ndarray, spec: GridSpec) -> list[f
 
 
 @pytest.mark.parametrize("spec", SPECS)
-def test_both_paths_follow_the_definition(spec):
+def test_the_reference_follows_the_definition(spec):
     grid = HashGrid(spec, torch.float64)
     torch.nn.init.normal_(grid.tables)
     edges = torch.tensor([[0.0] * spec.dimensions, [1.0] * spec.dimensions], dtype=torch.float64)
     points = torch.cat([torch.rand(200, spec.dimensions, dtype=torch.float64), edges])
     expected = [brute_force(p, grid.tables.detach().numpy(), spec) for p in points.numpy()]
     torch.testing.assert_close(grid(points), torch.tensor(expected, dtype=torch.float64))
-    torch.testing.assert_close(encode_reference(points, grid.tables, spec), torch.tensor(expected))
 
 
 @pytest.mark.parametrize("spec", SPECS)
 def test_gradcheck(spec):
-    grid = HashGrid(spec, torch.float64)
     points = torch.rand(7, spec.dimensions, dtype=torch.float64)
-    for path in (lambda t: kernel(grid, points, t), lambda t: encode_reference(points, t, spec)):
-        tables = torch.randn_like(grid.tables).requires_grad_()
-        assert torch.autograd.gradcheck(path, tables)
+    tables = torch.randn(sum(spec.entries), spec.features, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda t: encode_reference(points, t, spec), tables)
 
 
-def kernel(grid: HashGrid, points: torch.Tensor, tables: torch.Tensor) -> torch.Tensor:
-    from dante_w.model import hash_encoding_numba
-
-    return hash_encoding_numba.encode(points, tables, grid.resolutions, grid.offsets)
-
-
+@pytest.mark.parametrize("count", [1, BLOCK, 1000])
 @pytest.mark.parametrize("spec", SPECS)
-def test_gradients_agree_in_float32_and_repeat_exactly(spec):
-    grid = HashGrid(spec)
-    points, upstream = torch.rand(5000, spec.dimensions), torch.randn(5000, spec.width)
+def test_the_kernels_encode_and_transpose_like_the_reference(spec, count):
+    tables, points = torch.randn(sum(spec.entries), spec.features), torch.rand(count, spec.dimensions)
+    upstream = torch.randn(count, spec.width)
+    exact = tables.double().requires_grad_()
+    encoded = encode_reference(points.double(), exact, spec)
+    encoded.backward(upstream.double())
+    ours, gradient = by_kernels(spec, tables.numpy(), points.numpy(), upstream.numpy())
+    torch.testing.assert_close(torch.from_numpy(ours).double(), encoded.detach(), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(torch.from_numpy(gradient).double(), exact.grad, rtol=1e-4, atol=1e-3)
 
-    def gradient(encode):
-        grid.tables.grad = None
-        encode(points).backward(upstream)
-        return grid.tables.grad
 
-    first, again = gradient(grid), gradient(grid)
-    assert torch.equal(first, again)
-    reference = gradient(lambda p: encode_reference(p, grid.tables, spec))
-    torch.testing.assert_close(first, reference, rtol=1e-4, atol=1e-3)
+def by_kernels(
+    spec: GridSpec, tables: np.ndarray, points: np.ndarray, upstream: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The encoding (N, L * F), block by block, and the tables' gradient for upstream gradients (N, L * F)."""
+    offsets = np.cumsum([0, *spec.entries])
+    shift = np.float32(0.5 if spec.centred else 0.0)
+    grid = Grid(tables, np.array(spec.resolutions, np.float32), offsets, shift)
+    blocks = -(-len(points) // BLOCK)
+    encoded, rows = np.empty((2, blocks, spec.width, BLOCK), np.float32)
+    entry, weight = (np.empty((2**spec.dimensions, BLOCK), kind) for kind in (np.uint32, np.float32))
+    block = np.empty((spec.dimensions, BLOCK), np.float32)
+    for n in range(blocks):
+        load(points, n * BLOCK, block)
+        encode(grid, block, entry, weight, encoded[n])
+        part = upstream[n * BLOCK : (n + 1) * BLOCK]
+        rows[n, :, : len(part)] = part.T
+    gradient = np.zeros_like(tables)
+    for level, resolution in enumerate(grid.resolutions):
+        own = gradient[offsets[level] : offsets[level + 1]]
+        scatter(points, resolution, shift, rows, level * spec.features, own)
+    return encoded.transpose(0, 2, 1).reshape(-1, spec.width)[: len(points)], gradient
 
 
 @given(st.integers(1, 64), st.integers(1, 2000), st.integers(1, 16))
@@ -113,10 +131,14 @@ def test_points_outside_and_nan_count_as_the_edge():
     odd = torch.tensor([[-3.0, 0.5], [7.0, 0.5], [float("nan"), 0.5]], dtype=torch.float64)
     edge = torch.tensor([[0.0, 0.5], [1.0, 0.5], [0.0, 0.5]], dtype=torch.float64)
     torch.testing.assert_close(grid(odd), grid(edge))
-    torch.testing.assert_close(encode_reference(odd, grid.tables, spec), grid(edge))
+    tables, upstream = grid.tables.detach().float().numpy(), np.zeros((3, spec.width), np.float32)
+    by_edge, by_odd = (
+        by_kernels(spec, tables, points.float().numpy(), upstream)[0] for points in (edge, odd)
+    )
+    np.testing.assert_array_equal(by_odd, by_edge)
 
 
 def test_hashed_entries_stay_in_the_table():
     vertex = torch.randint(0, 70000, (1000, 3))
-    index = vertex_index(vertex, 65536, 1 << 12)
+    index = vertex_index(vertex, 65537, 1 << 12)
     assert int(index.min()) >= 0 and int(index.max()) < 1 << 12

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -5,9 +7,10 @@ from dante_w.color import linear_from_srgb, srgb_from_linear
 from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.hash_encoding import GridSpec
 from dante_w.model.held_out import _bands, choose_held_out
-from dante_w.model.optimise import FINAL_RATE, RUN, LossTerms, batches, cosine, model_loss
+from dante_w.model.optimise import FINAL_RATE, RUN, LossTerms, Schedule, batches, cosine, fit, model_loss
 from dante_w.model.presets import PRESETS, equal_bands
-from dante_w.rays.ray_cache import Samples
+from dante_w.model.pyramid import PyramidSpec
+from dante_w.rays.ray_cache import CELLS, RayCache, Samples, Surface, note_finest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -133,3 +136,78 @@ def test_equal_bands_closes_the_frequency_gap():
     for preset in PRESETS.values():
         assert preset.model.irradiance.finest * 4 <= preset.model.albedo.finest
         assert equal_bands(preset.model).irradiance.finest == preset.model.albedo.finest
+
+
+#: Texels a side of a texture whose detail is two texels wide, and the texels that a pixel from afar covers.
+SIDE, FAR = 64, 8
+
+
+def fine_texture() -> np.ndarray:
+    texels = np.random.default_rng(0).uniform(0.1, 0.8, (SIDE, SIDE, 3))
+    return sum(np.roll(texels, shift, (0, 1)) for shift in ((0, 0), (0, 1), (1, 0), (1, 1))) / 4.0
+
+
+def seen_from(texture: np.ndarray, uv: np.ndarray, texels: int) -> np.ndarray:
+    """Colours (N, 3) of pixels at (N, 2) that cover a square of so many texels."""
+    offsets = (np.arange(2 * texels) + 0.5) / 2 - texels / 2
+    places = uv[:, None, None] * SIDE + np.stack(np.meshgrid(offsets, offsets), axis=-1)
+    column, row = np.moveaxis(places.astype(int).clip(0, SIDE - 1), -1, 0)
+    return texture[row, column].mean((1, 2))
+
+
+def two_distances(near: int, far: int) -> tuple[RayCache, np.ndarray]:
+    """A square whose left half is seen from nearby and all of it from afar, with its colours as priors; its texture."""
+    random, texture = np.random.default_rng(1), fine_texture()
+    uv = np.concatenate([random.random((near, 2)) * [0.5, 1.0], random.random((far, 2))])
+    texels = np.repeat([1, FAR], [near, far])
+    colour = np.empty((near + far, 3))
+    for width in (1, FAR):
+        colour[texels == width] = seen_from(texture, uv[texels == width], width)
+    u, v = uv.T
+    bary = np.where((v <= u)[:, None], np.stack([u - v, v], 1), np.stack([u, v - u], 1))
+    footprint, finest = (texels / SIDE).astype(np.float16), np.full((CELLS, CELLS), np.inf, np.float32)
+    note_finest(uv, footprint.astype(np.float32), finest)
+    corners = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]], [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]])
+    srgb = srgb_from_linear(torch.from_numpy(colour)).numpy().astype(np.float16)
+    cache = RayCache(
+        Surface(corners, torch.zeros(2, 3, 3)),
+        np.array([0, near + far]),
+        (v > u).astype(np.int32),
+        np.rint(bary * 65535.0).astype(np.uint16),
+        srgb,
+        srgb,
+        footprint,
+        finest,
+    )
+    return cache, texture
+
+
+def left_and_right_error(albedo: GridSpec | PyramidSpec, cache: RayCache, texture: np.ndarray) -> np.ndarray:
+    """PSNR in dB of the albedo fitted to the priors alone, in either half of the texture."""
+    torch.manual_seed(0)
+    model = Model(ModelSpec(albedo, GridSpec(3, 1, 2, 2, 2, 8), hidden=16, embedding=2), 1)
+    everything = np.array([[0, len(cache)]])
+    schedule = Schedule(200, 2048, 1e-2)
+    fit(model, cache, everything, LossTerms(photometric=False), schedule, 0, lambda *_: None)
+    centre = (np.arange(SIDE) + 0.5) / SIDE
+    uv = torch.from_numpy(np.stack(np.meshgrid(centre, centre), axis=-1)).float().reshape(-1, 2)
+    with torch.no_grad():
+        error = (model.albedo(uv).numpy().reshape(SIDE, SIDE, 3) - texture) ** 2
+    margin = FAR // 2
+    halves = error[:, margin : SIDE // 2 - margin], error[:, SIDE // 2 + margin : -margin]
+    return np.array([-10.0 * np.log10(half.mean()) for half in halves])
+
+
+@pytest.mark.parametrize(
+    "albedo", [GridSpec(2, 5, 2, 8, SIDE, 14), PyramidSpec(8, SIDE)], ids=["hash", "pyramid"]
+)
+def test_pixels_from_afar_do_not_blur_what_closer_ones_tell(albedo):
+    alone, texture = two_distances(40_000, 0)
+    mixed, _ = two_distances(40_000, 200_000)
+    unweighted = dataclasses.replace(mixed, footprint=None)
+    near, weighted, plain = (
+        left_and_right_error(albedo, cache, texture) for cache in (alone, mixed, unweighted)
+    )
+    assert plain[0] < near[0] - 5.0  # what the weights are for
+    assert weighted[0] > plain[0] + 0.65 * (near[0] - plain[0])
+    assert weighted[1] > plain[1] - 0.3  # where no closer pixel looks, those from afar count in full

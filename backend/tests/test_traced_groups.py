@@ -134,3 +134,14 @@ def test_a_photo_that_saw_nothing_keeps_a_light(world):
     some = seen.of(seen.photo != 7)
     found, kept = moved((log_irradiance, log_albedo, exposure, some), TRUTH.copy(), log_irradiance)
     assert same_partition(found, TRUTH) and found.max() < len(kept)
+
+
+def test_a_light_whose_photos_saw_nothing_is_given_up(world):
+    log_irradiance, log_albedo, exposure, seen = world
+    light = TRUTH.copy()
+    light[7] = 3
+    four = np.concatenate([log_irradiance, log_irradiance[:, :1] + 0.5], axis=1)
+    found, kept = moved((four, log_albedo, exposure, seen.of(seen.photo != 7)), light, four)
+    assert kept.tolist() == [0, 1, 2] and found.max() == 2
+    others = np.arange(PHOTOS) != 7
+    assert found[others].tolist() == TRUTH[others].tolist()

@@ -3,80 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 from dante_w.errors import BadInput
 from dante_w.traced.gloss import sheen
-from dante_w.traced.lights import BRIGHTEST, FEWEST_PHOTOS, TOP, Lights, solve_lights
-from dante_w.traced.shading_points import Observations, ShadingPoints
-from dante_w.traced.transfer import Transfer, sphere
+from dante_w.traced.lights import BRIGHTEST, FEWEST_PHOTOS, TOP, KnownAlbedo, Lights, Parts, solve_lights
+from dante_w.traced.shading_points import Observations
+from open_world import DIRECTIONS, LIGHTS, PHOTOS, POINTS, World, make_world, unit
 
-DIRECTIONS, POINTS, PHOTOS, LIGHTS = 64, 1500, 18, 3
 LIGHT = np.arange(PHOTOS) % LIGHTS
 
 
-@dataclasses.dataclass(frozen=True)
-class World:
-    points: ShadingPoints
-    transfer: Transfer
-    seen: Observations
-    cameras: np.ndarray
-    albedo: np.ndarray
-    exposure: np.ndarray
-
-
-def unit(rows: np.ndarray) -> np.ndarray:
-    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
-
-
-def make_world() -> World:
-    """Open points of all orientations under three smooth lights; nothing hides or lights anything else."""
-    random = np.random.default_rng(6)
-    normals = unit(random.normal(size=(POINTS, 3))).astype(np.float32)
-    position = random.uniform(0.3, 0.7, (POINTS, 3)).astype(np.float32)
-    directions = sphere(DIRECTIONS).astype(np.float32)
-    cosine = normals @ directions.T
-    visible = (cosine > 0.0).astype(np.float32)
-    direct = (4.0 / DIRECTIONS * np.maximum(cosine, 0.0)).astype(np.float32)
-    transfer = Transfer(
-        directions,
-        visible,
-        direct,
-        np.zeros(POINTS + 1, np.int64),
-        np.zeros(0, np.int64),
-        np.zeros(0, np.float32),
-        np.zeros(POINTS, np.float32),
-    )
-    axes = unit(np.array([(1.0, 0.2, 0.5), (-0.6, 0.8, 0.4), (-0.3, -0.9, 0.6)]))
-    tint = np.array([(0.08, 0.0, -0.08), (-0.06, 0.0, 0.06), (0.0, 0.0, 0.0)])
-    bright = 1.1 * directions @ axes.T + 0.5 * (directions @ axes.T) ** 2
-    radiance = np.exp(bright.T[:, :, None] + tint[:, None, :]).astype(np.float32)
-    albedo = random.uniform(0.1, 0.8, (POINTS, 3))
-    albedo *= TOP / np.quantile(albedo.max(axis=1), BRIGHTEST)
-    exposure = random.normal(0.0, 0.35, PHOTOS)
-    cameras = 0.5 + 2.0 * sphere(PHOTOS)
-
-    photo, point = np.nonzero(np.einsum("kd,cd->kc", unit(cameras - 0.5), normals) > 0.05)
-    towards = unit(cameras[photo] - position[point]).astype(np.float32)
-    light = LIGHT[photo]
-    diffuse = albedo[point] * np.tensordot(direct, radiance, axes=(1, 1))[point, light]
-    gloss = sheen(point, light, towards, normals, directions, visible, radiance)
-    colour = np.exp(exposure)[photo, None] * (diffuse + gloss)
-    colour *= np.exp(random.normal(0.0, 0.03, colour.shape))
-    count = len(photo)
-    seen = Observations(
-        point.astype(np.int32),
-        photo.astype(np.int32),
-        colour.astype(np.float32),
-        np.full(count, 4, np.int32),
-        np.zeros(count, bool),
-    )
-    points = ShadingPoints(np.full(1, -1, np.int32), position, normals)
-    return World(points, transfer, seen, cameras, albedo, exposure)
-
-
-def solved(world: World, seen: Observations | None = None, seed: int = 0) -> Lights:
+def solved(world: World, seen: Observations | None = None, seed: int = 0, **options: Any) -> Lights:
     """Starting with each light split in two and one photo in the wrong group."""
     first = LIGHT + LIGHTS * (np.arange(PHOTOS) >= PHOTOS // 2)
     first[0] = first[1]
@@ -89,6 +29,7 @@ def solved(world: World, seen: Observations | None = None, seed: int = 0) -> Lig
         first,
         seed,
         lambda *step: said.append(step),
+        **options,
     )
     assert [step for step, _ in said] == list(range(1, said[-1][1] + 1))
     return found
@@ -119,7 +60,16 @@ def test_albedo_is_recovered_up_to_a_gain(world, found):
     assert_finite(found)
     assert found.known.mean() > 0.9
     assert albedo_error(world, found) < 0.03
-    assert np.quantile(found.albedo[found.known].max(axis=1), BRIGHTEST) == pytest.approx(TOP, rel=1e-3)
+    assert np.quantile(found.albedo[found.known].max(axis=1), BRIGHTEST) == pytest.approx(found.top, rel=1e-3)
+    assert found.top == pytest.approx(TOP, rel=0.05), "as in the world: sheen tells"
+
+
+@pytest.mark.parametrize("top", [0.3, 0.7])
+def test_sheen_tells_the_level_of_albedo(top):
+    dark = make_world(top=top)
+    found = solved(dark)
+    assert abs(found.top - top) < 0.5 * abs(TOP - top), "nearer than the rule for the brightest points"
+    np.testing.assert_allclose(found.albedo[found.known].mean() / dark.albedo.mean(), 1.0, atol=0.15)
 
 
 def test_each_light_is_found_once_and_relative_exposures_are_right(world, found):
@@ -186,7 +136,7 @@ def test_a_point_that_too_few_photos_see_is_not_known(world, found):
 
 def test_same_seed_same_arrays(world, monkeypatch):
     monkeypatch.setattr("dante_w.traced.lights.POINTS", 400)
-    monkeypatch.setattr("dante_w.traced.lights.STEPS", 4)
+    monkeypatch.setattr("dante_w.traced.lights.LAST_STEPS", 1)
     first, again, other = (solved(world, seed=seed) for seed in (1, 1, 2))
     for name in vars(first):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name), name)
@@ -196,3 +146,52 @@ def test_same_seed_same_arrays(world, monkeypatch):
 def test_too_few_photos_are_bad_input(world):
     with pytest.raises(BadInput, match="photos"):
         solved(world, world.seen.of(world.seen.photo < FEWEST_PHOTOS - 1))
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setattr("dante_w.traced.lights.COARSE", 32)
+    monkeypatch.setattr("dante_w.traced.lights.POINTS", 500)
+
+
+def test_without_the_last_steps_light_comes_from_few_directions(world, quick):
+    coarse = solved(world, fine=False)
+    assert coarse.radiance.shape == (LIGHTS, 32, 3)
+    assert albedo_error(world, coarse) < 0.1
+
+
+def test_a_guess_that_is_settled_stays(world, quick):
+    found = solved(world, settled=True, fine=False)
+    assert len(found.radiance) == 2 * LIGHTS and found.light[0] == 1
+
+
+def test_parts_that_are_off_are_not_modelled(world, quick):
+    found = solved(world, parts=Parts(groups=False, exposures=False, bounce=False), fine=False)
+    assert (found.light == 0).all() and len(found.radiance) == 1
+    assert np.ptp(found.log_exposure) < 0.01
+    assert not found.bounce.any()
+
+
+def test_files_tell_the_exposures_where_photos_do_not(world, quick):
+    """Photos of one light tell their exposures apart, but not a bright light from a long exposure."""
+    among = np.array([0.5, -0.2, -0.3])
+    known = world.exposure + among[LIGHT] + np.where(LIGHT == 0, 0.0, 0.05 * np.sign(world.exposure))
+    found = solved(world, fine=False, known_exposure=known)
+    off = found.log_exposure - world.exposure
+    for j in range(LIGHTS):
+        np.testing.assert_allclose(off[j == LIGHT], off[j == LIGHT].mean(), atol=0.03)
+    between = np.array([off[j == LIGHT].mean() for j in range(LIGHTS)])
+    np.testing.assert_allclose(between - between.mean(), among, atol=0.1)
+
+
+def test_a_prior_sets_level_and_tint(world, found):
+    gain = np.array([1.5, 1.2, 0.9])
+    random = np.random.default_rng(8)
+    log_albedo = np.log(world.albedo * gain) + random.normal(0.0, 0.2, world.albedo.shape)
+    trust = np.where(np.arange(POINTS) % 3 == 0, 0.0, 0.25).astype(np.float32)
+    told = solved(world, prior=KnownAlbedo(log_albedo.astype(np.float32), trust))
+    off = np.log(told.albedo / world.albedo)[told.known]
+    np.testing.assert_allclose(off.mean(axis=0), np.log(gain), atol=0.05)
+    assert albedo_error(world, told) < 0.05, "photos decide on the rest"
+    nothing = solved(world, prior=KnownAlbedo(log_albedo.astype(np.float32), 0.0 * trust))
+    np.testing.assert_array_equal(nothing.albedo, found.albedo)

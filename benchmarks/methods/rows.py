@@ -17,6 +17,8 @@ from methods.stand_in_prior import STRENGTHS, make_priors
 NO_PRIOR = "none"
 #: The preset that plays "ours full" and its ablations: `paper` itself wants a GPU.
 FULL = "standard"
+#: The paper's model; without it, light is traced.
+FIELD = ("recover", "--irradiance", "field")
 
 
 @dataclass(frozen=True)
@@ -56,15 +58,16 @@ def methods(presets: Sequence[str], priors: Sequence[str]) -> Iterator[Method]:
     yield Method("photos averaged", "dante-w", ("average",))
     yield Method("gradient-domain texturing", "lagrange")
     for prior in priors:
-        if prior == NO_PRIOR:
-            yield Method("ours, traced light", "dante-w", ("recover", "--irradiance", "traced"))
-        else:
+        if prior != NO_PRIOR:
             yield Method("raw prior", "raw prior", prior=prior)
-            yield Method("ours w/o PR", "dante-w", ("recover", "--preset", FULL, "--no-photometric"), prior)
-        yield Method("ours, equal bands", "dante-w", ("recover", "--preset", FULL, "--equal-bands"), prior)
+        yield Method("ours, traced light", "dante-w", ("recover",), prior)
+        yield Method("ours, traced light, draft", "dante-w", ("recover", "--preset", "draft"), prior)
+        if prior != NO_PRIOR:
+            yield Method("ours w/o PR", "dante-w", (*FIELD, "--preset", FULL, "--no-photometric"), prior)
+        yield Method("ours, equal bands", "dante-w", (*FIELD, "--preset", FULL, "--equal-bands"), prior)
         for preset in presets:
             name = f"ours full (paper), {preset}" if preset == FULL else f"ours, {preset}"
-            yield Method(name, "dante-w", ("recover", "--preset", preset), prior)
+            yield Method(name, "dante-w", (*FIELD, "--preset", preset), prior)
 
 
 def make(method: Method, scene: Path, out: Path) -> float:

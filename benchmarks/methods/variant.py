@@ -1,8 +1,8 @@
 """The product's own command line with its presets changed, for measurements.
 
-    python benchmarks/methods/variant.py '{"schedule.steps": 250}' recover SCENE --preset draft --out DIR
+    python benchmarks/methods/variant.py '{"schedule.steps": 250}' recover SCENE --irradiance field --out DIR
 
-is `dante-w recover SCENE --preset draft --out DIR` with 250 steps. A change is a field of `Preset`, dotted where it
+is `dante-w recover SCENE --irradiance field --out DIR` with 250 steps. A change is a field of `Preset`, dotted where it
 lies deeper, or one of two things that are no setting of the product:
 
     ray_fraction: a random part of the traced samples, (0, 1], is all that the fit gets to see
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from dante_w import cli, recover
+from dante_w import cli, recover_field, stages
 from dante_w.errors import BAD_INPUT
 from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.presets import PRESETS, Preset
@@ -57,10 +57,10 @@ def install(changes: Mapping[str, Any]) -> None:
     PRESETS.update(changed)
     fraction = changes.get(RAY_FRACTION, 1.0)
     if fraction < 1.0:
-        trace = recover.trace
-        recover.trace = lambda *arguments: thinned(trace(*arguments), fraction)
+        trace = stages.trace
+        stages.trace = lambda *arguments: thinned(trace(*arguments), fraction)
     if changes.get(DECODER_PRECISION) == "bfloat16":
-        recover.Model = bfloat16_model  # type: ignore[assignment,misc]
+        recover_field.Model = bfloat16_model  # type: ignore[assignment,misc]
 
 
 def altered(preset: Preset, changes: Mapping[str, Any]) -> Preset:
@@ -112,9 +112,11 @@ def _replaced(part: Any, path: Sequence[str], value: Any) -> Any:
 def thinned(cache: RayCache, fraction: float) -> RayCache:
     """The cache with a random `fraction` of its samples, as if the photos had so many fewer pixels."""
     keep = np.flatnonzero(np.random.default_rng(0).random(len(cache)) < fraction)
-    face, bary, colour = cache.face[keep], cache.bary[keep], cache.colour[keep]
-    prior = None if cache.prior is None else cache.prior[keep]
-    return RayCache(cache.surface, np.searchsorted(keep, cache.starts), face, bary, colour, prior)
+    columns = {
+        name: getattr(cache, name) for name in ("face", "bary", "colour", "prior", "footprint", "edge")
+    }
+    kept = {name: column[keep] for name, column in columns.items() if column is not None}
+    return dataclasses.replace(cache, starts=np.searchsorted(keep, cache.starts), **kept)
 
 
 class Bfloat16(nn.Sequential):

@@ -9,6 +9,7 @@ import numpy as np
 import precision
 import pytest
 import torch
+from dante_w.model import fused
 from dante_w.model.fields import Model
 from precision import EXACT, Row, Way, measure, one_step, texture
 
@@ -38,11 +39,11 @@ def rows() -> dict[str, Row]:
 
 def test_errors_follow_the_number_of_bits(rows: dict[str, Row]) -> None:
     for name in ("float32", "numba"):
-        assert 0.0 < rows[name].encode < 1e-4
+        assert 0.0 < rows[name].fields < 1e-4
         assert all(0.0 < l2 < 1e-3 for l2, _ in rows[name].gradients.values())
-    assert rows["autocast"].encode == rows["float32"].encode  # the tables stay float32
+    assert rows["autocast"].fields == rows["float32"].fields  # the tables stay float32
     assert rows["autocast"].gradients["decoders"][0] > 100 * rows["float32"].gradients["decoders"][0]
-    assert rows["bfloat16"].encode > 100 * rows["float32"].encode
+    assert rows["bfloat16"].fields > 100 * rows["float32"].fields
 
 
 def test_fits_drift_from_float64_with_their_errors(rows: dict[str, Row]) -> None:
@@ -68,11 +69,11 @@ def test_a_loss_scale_leaves_loss_and_gradients_as_they_are() -> None:
 
 def test_the_torch_path_is_taken_and_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
-    exact = precision.encode_reference
-    monkeypatch.setattr(precision, "encode_reference", lambda *a: calls.append(1) or exact(*a))
+    kernels = fused.decoded
+    monkeypatch.setattr(fused, "decoded", lambda *a: calls.append(1) or kernels(*a))
     model = Model(precision.SPEC, precision.PHOTOS)
     by_torch = texture(model, FLOAT32)
-    assert len(calls) == 1
+    assert len(calls) == 0
     by_numba = texture(model, replace(FLOAT32, reference=False))
     assert len(calls) == 1
     np.testing.assert_allclose(by_torch, by_numba, atol=1e-5)

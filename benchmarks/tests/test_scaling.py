@@ -45,7 +45,7 @@ def test_a_run_counts_all_seconds_and_the_cache_on_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def product(arguments: list[str], out: Path) -> tuple[dict[str, Any], float]:
-        assert arguments[2:] == ["--preset", "draft", "--texture-size", "64"]
+        assert arguments[2:] == ["--irradiance", "field", "--preset", "draft", "--texture-size", "64"]
         rays = out / ".partial" / "rays"
         rays.mkdir(parents=True)
         (rays / "face").write_bytes(bytes(300))

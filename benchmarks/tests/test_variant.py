@@ -73,7 +73,9 @@ def test_thinned_keeps_a_fraction_of_every_photo():
     starts = np.concatenate([[0], np.cumsum(counts)])
     numbers = np.arange(starts[-1])
     surface = Surface(torch.zeros(1, 3, 2), torch.zeros(1, 3, 3))
-    cache = RayCache(surface, starts, numbers, np.stack([numbers] * 2, 1), np.stack([numbers] * 3, 1), None)
+    finest = np.ones((2, 2), np.float32)
+    two, three = (np.stack([numbers] * count, 1) for count in (2, 3))
+    cache = RayCache(surface, starts, numbers, two, three, None, numbers / 2, finest, numbers)
     thin = thinned(cache, 0.25)
     assert np.diff(thin.starts) == pytest.approx(counts / 4, rel=0.15)
     assert thin.starts[0] == 0 and len(thin) == len(thin.face)
@@ -82,7 +84,8 @@ def test_thinned_keeps_a_fraction_of_every_photo():
         assert (np.diff(kept) > 0).all()
         assert ((kept >= starts[photo]) & (kept < starts[photo + 1])).all()
     assert (thin.bary[:, 1] == thin.face).all() and (thin.colour[:, 2] == thin.face).all()
-    assert thin.prior is None
+    assert (thin.footprint == thin.face / 2).all() and (thin.edge == thin.face).all()
+    assert thin.finest is finest and thin.prior is None
     assert len(thinned(dataclasses.replace(cache, prior=cache.colour), 0.25).prior) == len(thin)
 
 
@@ -107,7 +110,9 @@ def test_bfloat16_rounds_the_fit_and_spares_the_bake():
     assert gradient.dtype == torch.float32
     assert torch.nn.functional.cosine_similarity(gradient.ravel(), wanted.ravel(), dim=0) > 0.999
     with torch.no_grad():
-        assert torch.equal(rounded.albedo(uv), exact.albedo(uv))
+        torch.testing.assert_close(
+            rounded.albedo(uv), exact.albedo(uv)
+        )  # torch and kernels round differently
 
 
 @pytest.fixture(scope="module")
@@ -122,11 +127,12 @@ def test_the_command_runs_what_the_changes_say(scene, tmp_path):
     changes = {
         "schedule.steps": 3,
         "schedule.batch": 256,
-        "model.albedo.levels": 5,
+        "model.irradiance.levels": 3,
         "model.albedo.log2_table": 10,
     }
     outside = {"ray_fraction": 0.1, "decoder_precision": "bfloat16"}
-    arguments = ["recover", scene, "--preset", "draft", "--texture-size", "64", "--json", "--out", tmp_path]
+    arguments = ["recover", scene, "--irradiance", "field", "--preset", "draft"]
+    arguments += ["--texture-size", "64", "--json", "--out", tmp_path]
     command = [
         sys.executable,
         ROOT / "benchmarks/methods/variant.py",
@@ -136,7 +142,10 @@ def test_the_command_runs_what_the_changes_say(scene, tmp_path):
     done = subprocess.run([str(part) for part in command], capture_output=True, encoding="utf-8")
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "report.json").read_text())
-    assert report["preset"] == dataclasses.asdict(altered(PRESETS["draft"], changes))
+    wanted = dataclasses.asdict(altered(PRESETS["draft"], changes))
+    for preset in (wanted, report["preset"]):  # these follow the photos, see `sized`
+        del preset["model"]["albedo"]["levels"], preset["model"]["albedo"]["finest"]
+    assert report["preset"] == wanted
     assert report["settings"]["preset"] == "draft" and report["texture_size"] == 64
     steps = [json.loads(line) for line in done.stdout.splitlines()]
     assert {line["total"] for line in steps if line["stage"] == "optimise"} == {3}

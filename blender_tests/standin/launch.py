@@ -56,6 +56,8 @@ def main():
         "albedo_psnr_after_gain": {"mean": 24.9, "lowest": 21.0, "highest": 28.5},
     }
     say(stage="expected", **expected)
+    plan = [{"what": "groups", "choice": "one light", "reason": "held-out photos say so", "costs": "nothing"}]
+    say(stage="planned", decisions=plan)
     if mode == "bad":
         say(stage="error", code=2, message="mesh.obj has no UVs; unwrap it.")
         return 2
@@ -84,6 +86,7 @@ def main():
         "coverage": 0.75,
         "seconds": {"start": 2.5, "optimise": 39.0},
         "expected": expected,
+        "plan": plan,
         "arguments": sys.argv[1:],
         "settings": {"format": "png", "unwrap": options.unwrap},
         "python_variables": sorted(name for name in os.environ if name.startswith("PYTHON")),

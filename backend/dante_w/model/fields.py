@@ -10,34 +10,39 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
+from dante_w.model import fused
 from dante_w.model.hash_encoding import GridSpec, HashGrid
+from dante_w.model.pyramid import LevelSum, PyramidSpec
 
 
 @dataclass(frozen=True)
 class ModelSpec:
     """What the model is made of.
 
-    albedo, irradiance: their encodings. The gap between their finest resolutions is what separates them.
+    albedo, irradiance: their encodings. The gap between their finest resolutions is what separates them. A pyramid
+    in place of a hash encoding needs no decoder.
     hidden: width of the one hidden layer in either decoder.
     embedding: length of the per-photo embedding e_k.
     """
 
-    albedo: GridSpec
+    albedo: GridSpec | PyramidSpec
     irradiance: GridSpec
     hidden: int = 64
     embedding: int = 8
 
 
 class AlbedoField(nn.Module):
-    """a = sigmoid(MLP(hash2D(u))), Eq. 3: texture coordinates (N, 2) to albedo (N, 3) in (0, 1)."""
+    """a = sigmoid(MLP(hash2D(u))), Eq. 3, or the sigmoid of a pyramid's sum: texture coordinates (N, 2) to albedo
+    (N, 3) in (0, 1)."""
 
-    def __init__(self, grid: GridSpec, hidden: int) -> None:
+    def __init__(self, spec: GridSpec | PyramidSpec, hidden: int) -> None:
         super().__init__()
-        self.grid = HashGrid(grid)
-        self.decoder = _decoder(grid.width, hidden)
+        pyramid = isinstance(spec, PyramidSpec)
+        self.grid = HashGrid(spec.grid if isinstance(spec, PyramidSpec) else spec)
+        self.decoder = LevelSum() if pyramid else _decoder(self.grid.spec.width, hidden)
 
     def forward(self, uv: torch.Tensor) -> torch.Tensor:
-        return torch.sigmoid(self.decoder(self.grid(uv)))
+        return torch.sigmoid(_decoded(self.grid, self.decoder, uv))
 
 
 class IrradianceField(nn.Module):
@@ -50,8 +55,7 @@ class IrradianceField(nn.Module):
         self.decoder = _decoder(grid.width + embedding, hidden)
 
     def forward(self, position: torch.Tensor, embedding: torch.Tensor) -> torch.Tensor:
-        raw = self.decoder(torch.cat([self.grid(position), embedding], dim=1))
-        return nn.functional.softplus(raw)
+        return nn.functional.softplus(_decoded(self.grid, self.decoder, position, embedding))
 
 
 class Model(nn.Module):
@@ -75,11 +79,24 @@ class Model(nn.Module):
 
     def expose(self, radiance: torch.Tensor, photo: torch.Tensor) -> torch.Tensor:
         """Linear colours c (N, 3) of a * s as the given photos' exposure shows them."""
-        return torch.exp(self.log_exposure[photo]) * radiance + self.offset[photo]
+        log_exposure = self.log_exposure.clamp(-fused.EXTREME_EXPOSURE, fused.EXTREME_EXPOSURE)
+        return torch.exp(log_exposure[photo]) * radiance + self.offset[photo]
 
     def photo_parameters(self) -> list[nn.Parameter]:
         """e_k, w_k and b_k: what belongs to single photos."""
         return [self.embedding, self.log_exposure, self.offset]
+
+
+def _decoded(
+    grid: HashGrid, decoder: nn.Module, points: torch.Tensor, extra: torch.Tensor | None = None
+) -> torch.Tensor:
+    """What the decoder (N, 3) makes of encoded points (N, D) and further inputs (N, E). Where no gradients are wanted
+    the CPU's kernels compute it, else plain torch."""
+    if not torch.is_grad_enabled() and fused.computes(grid, decoder):
+        return fused.decoded(grid, decoder, points, extra)
+    encoded = grid(points)
+    raw: torch.Tensor = decoder(encoded if extra is None else torch.cat([encoded, extra], dim=1))
+    return raw
 
 
 def _decoder(inputs: int, hidden: int) -> nn.Sequential:

@@ -4,8 +4,7 @@ A grid level of resolution N has (N + 1)^D vertices. While they fit the level's 
 finer levels share entries through a spatial hash. A point is encoded as the linearly interpolated features of
 its cell's corners, level after level.
 
-`encode` picks the fastest path that the device has: numba kernels on the CPU, plain torch elsewhere. Both give the
-same values and gradients; the torch path is the reference.
+Here it is in plain torch, for any device and precision: the reference that `kernels.grid`, the CPU's, is held against.
 """
 
 from __future__ import annotations
@@ -14,8 +13,6 @@ import itertools
 from dataclasses import dataclass
 
 import torch
-
-from dante_w.model import hash_encoding_numba
 
 #: Equation 4 of the paper: one factor per axis, the first left at 1 for locality in memory.
 PRIMES = (1, 2654435761, 805459861)
@@ -29,6 +26,7 @@ class GridSpec:
     levels: L; features: F per level.
     coarsest, finest: resolutions of the first and last level; between them they grow by a constant factor b.
     log2_table: a level has at most 2^log2_table entries.
+    centred: values sit at the centres of N^D texels, as in a texture, instead of at (N + 1)^D vertices.
     """
 
     dimensions: int
@@ -37,6 +35,7 @@ class GridSpec:
     coarsest: int
     finest: int
     log2_table: int
+    centred: bool = False
 
     @property
     def width(self) -> int:
@@ -54,16 +53,18 @@ class GridSpec:
         return [*inner, self.finest]
 
     @property
+    def sides(self) -> list[int]:
+        """Values along an axis, per level."""
+        return [n if self.centred else n + 1 for n in self.resolutions]
+
+    @property
     def entries(self) -> list[int]:
-        """Table length per level: all vertices of a dense level, 2^log2_table of a hashed one."""
-        return [min((n + 1) ** self.dimensions, 1 << self.log2_table) for n in self.resolutions]
+        """Table length per level: all values of a dense level, 2^log2_table of a hashed one."""
+        return [min(side**self.dimensions, 1 << self.log2_table) for side in self.sides]
 
 
 class HashGrid(torch.nn.Module):
     """The trainable tables of a `GridSpec`: one (sum of entries, F) parameter, initialised U(-1e-4, 1e-4)."""
-
-    resolutions: torch.Tensor
-    offsets: torch.Tensor
 
     def __init__(self, spec: GridSpec, dtype: torch.dtype = torch.float32) -> None:
         super().__init__()
@@ -71,24 +72,20 @@ class HashGrid(torch.nn.Module):
         entries = spec.entries
         self.tables = torch.nn.Parameter(torch.empty(sum(entries), spec.features, dtype=dtype))
         torch.nn.init.uniform_(self.tables, -1e-4, 1e-4)
-        self.register_buffer("resolutions", torch.tensor(spec.resolutions))
-        self.register_buffer("offsets", torch.tensor([0, *itertools.accumulate(entries)]))
 
     def forward(self, points: torch.Tensor) -> torch.Tensor:
-        """Encode points (N, D) of [0, 1]^D as (N, L * F); gradients flow to the tables only."""
-        if points.device.type == "cpu":
-            return hash_encoding_numba.encode(points, self.tables, self.resolutions, self.offsets)
+        """Encode points (N, D) as (N, L * F); see `encode_reference`."""
         return encode_reference(points, self.tables, self.spec)
 
 
 def encode_reference(points: torch.Tensor, tables: torch.Tensor, spec: GridSpec) -> torch.Tensor:
-    """The encoding in plain torch, on any device and in any precision."""
+    """Encode points (N, D) of [0, 1]^D as (N, L * F); gradients flow to the tables only."""
     points = points.to(tables.dtype).nan_to_num(0.0).clamp(0.0, 1.0)
     start, encoded = 0, []
-    for resolution, entries in zip(spec.resolutions, spec.entries, strict=True):
-        scaled = points * resolution
+    for resolution, side, entries in zip(spec.resolutions, spec.sides, spec.entries, strict=True):
+        scaled = (points * resolution - 0.5).clamp(0.0, side - 1) if spec.centred else points * resolution
         # the far edge belongs to the last cell
-        low = scaled.floor().clamp_max(resolution - 1)
+        low = scaled.floor().clamp_max(side - 2)
         fraction, low = scaled - low, low.long()
         level = torch.zeros(len(points), spec.features, dtype=tables.dtype, device=tables.device)
         for corner in itertools.product((0, 1), repeat=spec.dimensions):
@@ -96,17 +93,17 @@ def encode_reference(points: torch.Tensor, tables: torch.Tensor, spec: GridSpec)
             weight = torch.ones(len(points), dtype=tables.dtype, device=tables.device)
             for axis, bit in enumerate(corner):
                 weight = weight * (fraction[:, axis] if bit else 1.0 - fraction[:, axis])
-            level = level + weight[:, None] * tables[start + vertex_index(vertex, resolution, entries)]
+            level = level + weight[:, None] * tables[start + vertex_index(vertex, side, entries)]
         encoded.append(level)
         start += entries
     return torch.cat(encoded, dim=1)
 
 
-def vertex_index(vertex: torch.Tensor, resolution: int, entries: int) -> torch.Tensor:
+def vertex_index(vertex: torch.Tensor, side: int, entries: int) -> torch.Tensor:
     """Table entry of grid vertices (N, D): row-major on a dense level, hashed on the others."""
     dimensions = vertex.shape[1]
-    if (resolution + 1) ** dimensions <= entries:
-        strides = torch.tensor([(resolution + 1) ** axis for axis in range(dimensions)], device=vertex.device)
+    if side**dimensions <= entries:
+        strides = torch.tensor([side**axis for axis in range(dimensions)], device=vertex.device)
         return (vertex * strides).sum(dim=1)
     hashed = vertex[:, 0] * PRIMES[0]
     for axis in range(1, dimensions):

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
 
 from dante_w.color import linear_from_srgb, srgb_from_linear
+from dante_w.model import fused
 from dante_w.model.fields import Model
+from dante_w.model.fused import DARKNESS, FusedStep
 from dante_w.rays.ray_cache import RayCache, Samples
 
 #: Samples drawn as one run of neighbours: they share table entries, so memory is touched less often.
 RUN = 16
-#: Irradiance this low counts as black, which has no tint.
-DARKNESS = 1e-3
 #: The learning rate falls along a cosine to this fraction.
 FINAL_RATE = 1.0 / 30.0
 
@@ -49,27 +50,89 @@ Progress = Callable[[int, int, float], None]
 
 
 def model_loss(model: Model, samples: Samples, terms: LossTerms) -> torch.Tensor:
-    """|gamma(c) - I| + lambda |a - A'| as a mean over samples and channels, and the terms for runs without priors.
+    """|gamma(c) - I| + lambda |a - A'| as a mean over samples, times their weights, and channels, and the terms for runs
+    without priors.
 
     gamma is the sRGB transfer; albedo is compared in linear colour. Photos without a prior leave out the second
     term.
     """
     albedo = model.albedo(samples.uv)
+    weight = albedo.new_ones(()) if samples.weight is None else samples.weight[:, None]
+
+    def mean(values: torch.Tensor) -> torch.Tensor:
+        return (weight * values).mean()
+
     loss = albedo.new_zeros(())
     if terms.photometric:
         light = model.light(samples.position, samples.photo)
         colour = model.expose(albedo * light, samples.photo)
-        loss = loss + (srgb_from_linear(colour) - samples.colour).abs().mean()
+        loss = loss + mean((srgb_from_linear(colour) - samples.colour).abs())
         if terms.white_light > 0.0:
             log_light = torch.log(light + DARKNESS)
-            loss = loss + terms.white_light * (log_light - log_light.mean(1, keepdim=True)).square().mean()
+            loss = loss + terms.white_light * mean((log_light - log_light.mean(1, keepdim=True)).square())
         if terms.small_offset > 0.0:
-            loss = loss + terms.small_offset * model.offset[samples.photo].abs().mean()
+            loss = loss + terms.small_offset * mean(model.offset[samples.photo].abs())
     if samples.prior is not None and terms.prior_weight > 0.0:
         known = torch.isfinite(samples.prior)
         difference = albedo - linear_from_srgb(torch.where(known, samples.prior, 0.0))
-        loss = loss + terms.prior_weight * torch.where(known, difference, 0.0).abs().mean()
+        loss = loss + terms.prior_weight * mean(torch.where(known, difference, 0.0).abs())
     return loss
+
+
+class Step(Protocol):
+    """One way to compute a step of the fit.
+
+    `TorchStep` is plain torch, for any device, and the reference; `FusedStep` is numba, for the CPU.
+    """
+
+    def gradients(
+        self, samples: Samples
+    ) -> tuple[float | torch.Tensor, Mapping[str, np.ndarray | torch.Tensor]]:
+        """Loss of a batch, and its gradients by parameter name; valid until `update`, which has to follow."""
+        ...
+
+    def update(self, rate: float) -> None:
+        """Change the parameters by Adam, with the learning rate times `rate`."""
+        ...
+
+
+class TorchStep:
+    """`Step` by autograd and `torch.optim.Adam`."""
+
+    def __init__(
+        self, model: Model, terms: LossTerms, parameters: Sequence[torch.nn.Parameter], learning_rate: float
+    ) -> None:
+        self._model, self._terms, self._learning_rate = model, terms, learning_rate
+        chosen = {id(parameter) for parameter in parameters}
+        self._chosen = {name: p for name, p in model.named_parameters() if id(p) in chosen}
+        on_mps = model.offset.device.type == "mps"
+        self._optimiser = torch.optim.Adam(
+            self._chosen.values(), lr=learning_rate, eps=1e-15, fused=not on_mps
+        )
+
+    def gradients(self, samples: Samples) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """See `Step`; parameters that the loss does not depend on are left out."""
+        loss = model_loss(self._model, samples, self._terms)
+        found = torch.autograd.grad(loss, list(self._chosen.values()), allow_unused=True)
+        for parameter, gradient in zip(self._chosen.values(), found, strict=True):
+            parameter.grad = gradient
+        return loss.detach(), {name: p.grad for name, p in self._chosen.items() if p.grad is not None}
+
+    def update(self, rate: float) -> None:
+        """See `Step`."""
+        for group in self._optimiser.param_groups:
+            group["lr"] = self._learning_rate * rate
+        self._optimiser.step()
+        self._optimiser.zero_grad(set_to_none=True)
+
+
+def step_for(
+    model: Model, terms: LossTerms, parameters: Sequence[torch.nn.Parameter], learning_rate: float
+) -> Step:
+    """The fastest way for a model where it is."""
+    fields = model.albedo, model.irradiance
+    way = FusedStep if all(fused.computes(field.grid, field.decoder) for field in fields) else TorchStep
+    return way(model, terms, parameters, learning_rate)
 
 
 def fit(
@@ -88,23 +151,15 @@ def fit(
         ranges: (R, 2), the samples to draw from; see `photo_ranges`.
         parameters: what to change; everything by default.
     """
-    device = model.offset.device
     chosen = list(model.parameters()) if parameters is None else parameters
-    optimiser = torch.optim.Adam(chosen, lr=schedule.learning_rate, eps=1e-15, fused=device.type != "mps")
-    rate = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: cosine(step, schedule.steps))
+    way = step_for(model, terms, chosen, schedule.learning_rate)
     draws = batches(ranges, schedule.batch, seed)
     latest = math.nan
     for step in range(schedule.steps):
-        samples = cache.samples(next(draws), device)
-        optimiser.zero_grad(set_to_none=True)
-        loss = model_loss(model, samples, terms)
-        gradients = torch.autograd.grad(loss, chosen, allow_unused=True)
-        for parameter, gradient in zip(chosen, gradients, strict=True):
-            parameter.grad = gradient
-        optimiser.step()
-        rate.step()
+        loss, _ = way.gradients(cache.samples(next(draws), model.offset.device))
+        way.update(cosine(step, schedule.steps))
         if step % 10 == 0:  # reading the loss waits for the device
-            latest = float(loss.detach())
+            latest = float(loss)
         progress(step + 1, schedule.steps, latest)
 
 

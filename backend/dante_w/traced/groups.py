@@ -82,7 +82,7 @@ def regroup(
         if len(members) == 0 or not others:
             continue
         means = cost[members][:, others].mean(axis=0)
-        if means.min() < AS_GOOD * cost[members, j].mean():
+        if means.min() <= AS_GOOD * cost[members, j].mean():
             moved[members] = others[int(means.argmin())]
     kept, renumbered = np.unique(moved, return_inverse=True)
     return renumbered, kept

@@ -1,58 +1,74 @@
 """Lights and exposures of the photos by variable projection.
 
-A photo k sees point c as p_ck = exp(g_k) (a_c (T_c . L_j + bounce) + sheen), where j is k's light. In logs the albedo
-a_c is one additive number per point, so its best value for given lights is a weighted mean, and damped Gauss-Newton
-steps on log L and g alone reach in a dozen steps what gradient descent on everything does not in thousands: the
-problem is ill-conditioned, not large (Golub and Pereyra, "The differentiation of pseudo-inverses and nonlinear least
-squares problems whose variables separate", 1973).
+A photo k sees point c as p_ck = exp(g_k) (a_c (T_c . L_j + bounce) + sheen), where j is k's light. For given lights the
+best log albedo a_c of a point is found on its own, so damped Gauss-Newton steps on log L and g alone reach in a dozen
+steps what gradient descent on everything does not in thousands: the problem is ill-conditioned, not large (Golub and
+Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate", 1973).
+The first steps, while photos still change their lights, see light from few directions: they cost little.
 
-What the photos leave open, a prior on log L decides: a Gaussian process on the sphere, rough in brightness and
-almost without colour. Colours are linear; "top" is where the brightest albedo is taken to lie (`TOP`).
+Colours are linear. The level of albedo, which photos leave open but bounced light and sheen need, is a prior's where there is
+one; without, "top" is where the brightest albedo is taken to lie (`TOP`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from dante_w.errors import BadInput
 from dante_w.traced.gloss import sheen
 from dante_w.traced.groups import regroup
+from dante_w.traced.normal_equations import Equations, ExposurePrior, prior_precision, step
 from dante_w.traced.shading_points import Observations, ShadingPoints
-from dante_w.traced.transfer import Transfer, bounced
+from dante_w.traced.transfer import Transfer, bounced, coarser
 
-#: Albedo of the brightest points, at this quantile of the largest channel: photos leave the scale open, and bounced
-#: light and sheen need one.
-TOP, BRIGHTEST = 0.5, 0.98
-#: Standard deviation and correlation length (radians) of log light over the sphere, brightness and colour; and of its
-#: mean colour and level.
-BRIGHTNESS, COLOUR, MEAN_COLOUR, LEVEL = (2.0, 0.5), (0.15, 0.8), 0.1, 0.1
-#: Standard deviation of a photo's log exposure around the others'.
-EXPOSURE = 1.0
+#: Albedo of the brightest points, at this quantile of the largest channel: what it is taken for until the last steps,
+#: and the bounds of what sheen and bounced light then say it is.
+TOP, BRIGHTEST, BOUNDS = 0.5, 0.98, (0.25, 0.9)
+#: Standard deviation of a photo's log exposure around the others' where the file does not tell it, and where it does.
+FREE_EXPOSURE, KNOWN_EXPOSURE = 1.0, 0.1
 #: Relative error of a colour that the model misses anyhow, absolute error of a photo's linear values, and the residual
 #: (log) at which an observation loses half its weight.
 RELATIVE, ABSOLUTE, OUTLIER = 0.04, 0.004, 0.15
-#: What residuals count beside the prior: an observation as one of standard deviation 0.47, since neighbours err alike.
-TRUST = 0.1 / 0.15**2
 #: Points that Gauss-Newton steps look at.
-POINTS = 4000
+POINTS = 2500
 FEWEST_PHOTOS = 3  # that must see a point
 FAINTEST = 1e-5
-STEPS = 12
-#: No log radiance changes by more than this in a step.
-LONGEST_STEP = 1.5
-#: Steps after which photos may change their light.
-REGROUP = (3, 5, 7)
+#: What is shown is taken to be diffuse by this share at least.
+LEAST_DIFFUSE = 0.05
+#: Directions of light in the first steps; these steps; those after which photos may change their light; the last steps.
+COARSE, FIRST_STEPS, REGROUP, LAST_STEPS = 64, 9, (3, 5, 7), 7
+#: The step that sets the level, and how far it is believed: on eight rendered objects it overshoots by so much.
+LEVEL_STEP, LEVEL_TRUST = 13, 0.8
+#: Steps from a cold start before sheen is modelled.
+WITHOUT_GLOSS = 2
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What is modelled: photos' lights apart from each other, their exposures, light from the mesh itself, gloss."""
+
+    groups: bool = True
+    exposures: bool = True
+    bounce: bool = True
+    gloss: bool = True
+
+
+@dataclass(frozen=True)
+class KnownAlbedo:
+    """What is known of the points' log albedo (C, 3) beforehand, each as much as `trust` (C,) photos tell."""
+
+    log_albedo: np.ndarray
+    trust: np.ndarray
 
 
 @dataclass(frozen=True)
 class Lights:
     """radiance (J, D, 3) of the lights by direction; light (K,) of each photo; log_exposure (K,) g_k; bounce (C, J, 3)
-    irradiance from the mesh itself; albedo (C, 3) of the points, brightest at `TOP`; known (C,) where it is told by the
-    photos rather than filled in."""
+    irradiance from the mesh itself; albedo (C, 3) of the points; known (C,) where it is told by the photos rather than
+    filled in; top, the albedo of the brightest points where no prior tells it."""
 
     radiance: np.ndarray
     light: np.ndarray
@@ -60,6 +76,26 @@ class Lights:
     bounce: np.ndarray
     albedo: np.ndarray
     known: np.ndarray
+    top: float = TOP
+
+    def irradiance(self, transfer: Transfer) -> np.ndarray:
+        """(C, J, 3) at the points."""
+        direct = np.tensordot(transfer.direct, self.radiance, axes=(1, 1))
+        return np.maximum(direct + self.bounce, np.float32(FAINTEST))
+
+
+@dataclass(frozen=True)
+class _Evidence:
+    """The photos' observations with the directions `towards` their cameras (M, 3) and their `weight` (M, 3)."""
+
+    points: ShadingPoints
+    seen: Observations
+    towards: np.ndarray
+    weight: np.ndarray
+    prior: KnownAlbedo
+    expected: ExposurePrior
+    parts: Parts
+    settled: bool
 
 
 def solve_lights(
@@ -70,76 +106,207 @@ def solve_lights(
     light: np.ndarray,
     seed: int,
     progress: Callable[[int, int], None],
+    parts: Parts = Parts(),
+    prior: KnownAlbedo | None = None,
+    known_exposure: np.ndarray | None = None,
+    fine: bool = True,
+    settled: bool = False,
 ) -> Lights:
     """Find the lights that explain the photos.
 
     Args:
         cameras: (K, 3) the photos' centres in the unit cube.
         light: (K,) a first guess of which photos share a light, rather too many lights than too few.
+        prior: what is known of the albedo, if anything.
+        known_exposure: (K,) log exposures from the photos' files.
+        fine: whether to take the last steps; without them, lights have `COARSE` directions.
+        settled: whether `light` is more than a guess, and stays.
 
     Raises:
         BadInput: too few photos see the same points.
     """
-    photos, count = len(light), len(points)
     towards = cameras[seen.photo] - points.position[seen.point]
     towards = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
     weight = _weights(seen)
-    enough = np.bincount(seen.point, (weight > 0.0).all(axis=1), count) >= FEWEST_PHOTOS
+    enough = np.bincount(seen.point, (weight > 0.0).all(axis=1), len(points)) >= FEWEST_PHOTOS
     known = enough & (transfer.direct.sum(axis=1) > 0.02)
     if not known.any():
         raise BadInput(
-            "No part of the mesh is well exposed in three photos, which --irradiance traced needs; add photos."
+            "No part of the mesh is well exposed in three photos, which traced light needs; "
+            "add photos or take --irradiance field."
         )
-    precision = _prior_precision(transfer.directions)
-    generator = np.random.default_rng(seed)
+    count = len(points)
+    prior = prior or KnownAlbedo(np.zeros((count, 3), np.float32), np.zeros(count, np.float32))
+    measured = _first_exposures(seen, weight, len(light))
+    if not parts.exposures:
+        expected = ExposurePrior(np.zeros(len(light)), 1e-3)
+    elif known_exposure is not None:
+        expected = ExposurePrior(known_exposure, KNOWN_EXPOSURE)
+    else:
+        expected = ExposurePrior(np.zeros(len(light)), FREE_EXPOSURE)
+    exposure = measured if expected.deviation == FREE_EXPOSURE else expected.mean.astype(np.float64)
+    evidence = _Evidence(points, seen, towards, weight, prior, expected, parts, settled or not parts.groups)
+    light = light if parts.groups else np.zeros_like(light)
 
-    radiance = np.exp(np.repeat(0.3 * transfer.directions[None, :, 2:], light.max() + 1, axis=0)).repeat(
-        3, axis=2
-    )
-    log_radiance = np.log(radiance).astype(np.float64)
-    exposure = _first_exposures(seen, weight, photos)
+    few, part_of = coarser(transfer, COARSE)
+    sky = np.exp(0.3 * few.directions[:, 2])  # a little more light from above
+    radiance = np.tile(sky[None, :, None], (light.max() + 1, 1, 3)).astype(np.float32)
     bounce = np.zeros((count, len(radiance), 3), np.float32)
-    gloss = np.zeros((len(seen.point), 3), np.float32)
-    damping, scale = 1.0, 1.0
-    for step in range(STEPS + 1):
-        radiance = np.exp(log_radiance).astype(np.float32)
-        irradiance = np.tensordot(transfer.direct, radiance, axes=(1, 1)) + bounce
-        irradiance = np.maximum(irradiance, FAINTEST)
-        if step >= 2:
-            gloss = sheen(
-                seen.point,
-                light[seen.photo],
-                towards,
-                points.normal,
-                transfer.directions,
-                transfer.visible,
-                radiance,
+    start = Lights(radiance, light, exposure, bounce, np.zeros((count, 3), np.float32), known)
+    steps = FIRST_STEPS + (LAST_STEPS if fine else 0)
+    lights = _refine(start, few, evidence, seed, range(FIRST_STEPS), lambda done: progress(done, steps))
+    if not fine:
+        return lights
+    lights = replace(lights, radiance=lights.radiance[:, part_of])
+    return _refine(
+        lights, transfer, evidence, seed, range(FIRST_STEPS, steps), lambda done: progress(done, steps)
+    )
+
+
+def _refine(
+    lights: Lights,
+    transfer: Transfer,
+    evidence: _Evidence,
+    seed: int,
+    steps: range,
+    progress: Callable[[int], None],
+) -> Lights:
+    """Take Gauss-Newton steps, then bring albedo and bounced light up to date."""
+    generator = np.random.default_rng(seed)
+    precision = prior_precision(transfer.directions)
+    gloss = np.zeros((len(evidence.seen.point), 3), np.float32)
+    for done in steps:
+        irradiance = lights.irradiance(transfer)
+        if evidence.parts.gloss and done >= WITHOUT_GLOSS:
+            gloss = observed_sheen(evidence, transfer, lights)
+        lights, told = _explain(lights, irradiance, gloss, evidence)
+        if evidence.parts.bounce:
+            leaving = np.minimum(lights.albedo, 0.95)[:, None, :] * irradiance
+            arriving = bounced(transfer, leaving.reshape(len(leaving), -1)).reshape(leaving.shape)
+            lights = replace(lights, bounce=arriving)
+        if done in REGROUP and not evidence.settled:
+            light, kept = regroup(
+                told.over_light + np.log(irradiance)[evidence.seen.point, lights.light[evidence.seen.photo]],
+                np.log(irradiance),
+                np.log(lights.albedo),
+                evidence.weight,
+                evidence.seen,
+                lights.light,
+                lights.known,
             )
-        gain = np.exp(exposure)[seen.photo, None].astype(np.float32)
-        diffuse = np.maximum(seen.colour - gain * gloss / scale, 0.15 * seen.colour + FAINTEST)
-        target = np.log(diffuse) - exposure[seen.photo, None].astype(np.float32)
-        log_albedo, residual, trust = _project(target, irradiance, seen, light, weight)
-        albedo = np.exp(log_albedo)
-        albedo[~known] = np.median(albedo[known], axis=0)
-        scale = TOP / np.quantile(albedo[known].max(axis=1), BRIGHTEST)
-        if step == STEPS:
-            break
-        leaving = np.minimum(albedo * scale, 0.95)[:, None, :] * irradiance
-        bounce = bounced(transfer, leaving.reshape(count, -1)).reshape(leaving.shape)
-        if step in REGROUP:
-            light, kept = regroup(target, np.log(irradiance), log_albedo, weight, seen, light, known)
-            log_radiance, bounce = log_radiance[kept], bounce[:, kept]
-            progress(step + 1, STEPS)
-            continue
-        chosen = np.sort(generator.permutation(np.flatnonzero(known))[:POINTS])
-        log_change, exposure_change = _gauss_newton(
-            chosen, transfer.direct, radiance, irradiance, seen, light, trust, residual,
-            log_radiance, exposure, precision, damping,
-        )  # fmt: skip
-        log_radiance, exposure = log_radiance + log_change, exposure + exposure_change
-        damping = max(0.5 * damping, 1e-3)
-        progress(step + 1, STEPS)
-    return Lights(radiance, light, exposure - np.log(scale), bounce, albedo * scale, known)
+            lights = replace(
+                lights, radiance=lights.radiance[kept], light=light, bounce=lights.bounce[:, kept]
+            )
+        else:
+            chosen = np.sort(generator.permutation(np.flatnonzero(lights.known))[:POINTS])
+            equations = _equations(chosen, lights, irradiance, transfer, told, evidence)
+            damping = max(0.5**done, 1e-3)
+            change, shift, level = step(equations, lights.log_exposure, evidence.expected, precision, damping)
+            radiance = np.exp(np.log(lights.radiance) + change).astype(np.float32)
+            lights = replace(lights, radiance=radiance, log_exposure=lights.log_exposure + shift)
+            if done == LEVEL_STEP:
+                lights = replace(lights, top=float(np.clip(TOP * np.exp(LEVEL_TRUST * level), *BOUNDS)))
+        progress(done + 1)
+    if evidence.parts.gloss:
+        gloss = observed_sheen(evidence, transfer, lights)
+    return _explain(lights, lights.irradiance(transfer), gloss, evidence)[0]
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What the observations say of log albedo `over_light` (M, 3), each with the `trust` (M, 3) it deserves;
+    `residual` is the rest, `share` (M, 3) of what is shown is diffuse."""
+
+    over_light: np.ndarray
+    trust: np.ndarray
+    residual: np.ndarray
+    share: np.ndarray
+
+
+def _explain(
+    lights: Lights, irradiance: np.ndarray, gloss: np.ndarray, of: _Evidence
+) -> tuple[Lights, _Told]:
+    """The albedo that explains the photos best under given lights, and its level."""
+    seen, count = of.seen, len(of.points)
+    exposure = lights.log_exposure[seen.photo, None].astype(np.float32)
+    shown = np.log(np.maximum(seen.colour, FAINTEST)) - exposure
+    log_irradiance = np.log(irradiance)[seen.point, lights.light[seen.photo]]
+    known = of.prior.trust[:, None]
+    log_albedo = np.log(np.maximum(lights.albedo, FAINTEST))
+    cold = not lights.albedo.any()
+    for _ in range(2):
+        if cold:
+            share, over_light = np.ones_like(shown), shown - log_irradiance
+        else:
+            diffuse = np.exp(log_albedo[seen.point] + log_irradiance)
+            share = np.maximum(diffuse / (diffuse + gloss), LEAST_DIFFUSE)
+            off = np.clip((shown - np.log(diffuse + gloss)) / share, -1.5, 1.5)
+            over_light = log_albedo[seen.point] + off
+        weight = of.weight * share**2
+        trust = weight
+        for _ in range(2):
+            total = sums(trust, seen.point, count) + known + 1e-9
+            log_albedo = (sums(trust * over_light, seen.point, count) + known * of.prior.log_albedo) / total
+            residual = over_light - log_albedo[seen.point]
+            trust = weight / (1.0 + (share * residual / OUTLIER) ** 2)
+        log_albedo = np.maximum(log_albedo, np.log(FAINTEST)).astype(np.float32)
+        cold = False
+    level = _level(log_albedo, lights, of.prior)
+    albedo = np.exp(log_albedo + level)
+    albedo[~lights.known] = np.median(albedo[lights.known], axis=0)
+    found = replace(lights, albedo=albedo, log_exposure=lights.log_exposure - level)
+    return found, _Told(over_light + level, trust, residual, share)
+
+
+def _level(log_albedo: np.ndarray, lights: Lights, prior: KnownAlbedo) -> float:
+    """What is to be added to log albedo: by the prior, or by the rule for the brightest points."""
+    if prior.trust.any():
+        trust = prior.trust * lights.known
+        return float((trust @ (prior.log_albedo - log_albedo).mean(axis=1)) / max(trust.sum(), 1e-9))
+    return float(np.log(lights.top) - np.quantile(log_albedo[lights.known].max(axis=1), BRIGHTEST))
+
+
+def _equations(
+    chosen: np.ndarray,
+    lights: Lights,
+    irradiance: np.ndarray,
+    transfer: Transfer,
+    told: _Told,
+    of: _Evidence,
+) -> Equations:
+    """The observations of the chosen points."""
+    renumbered = np.full(len(of.points), -1)
+    renumbered[chosen] = np.arange(len(chosen))
+    rows = np.flatnonzero(renumbered[of.seen.point] >= 0)
+    known = np.repeat(of.prior.trust[chosen, None], 3, axis=1)
+    light = lights.light[of.seen.photo[rows]]
+    bounced_share = lights.bounce[of.seen.point[rows], light] / irradiance[of.seen.point[rows], light]
+    return Equations(
+        point=renumbered[of.seen.point[rows]],
+        photo=of.seen.photo[rows],
+        weight=told.trust[rows],
+        residual=told.residual[rows],
+        direct=transfer.direct[chosen],
+        irradiance=irradiance[chosen],
+        radiance=lights.radiance,
+        light=lights.light,
+        level=bounced_share - (1.0 / told.share[rows] - 1.0),
+        known=known,
+        known_residual=of.prior.log_albedo[chosen] - np.log(lights.albedo[chosen]),
+    )
+
+
+def observed_sheen(of: _Evidence, transfer: Transfer, lights: Lights) -> np.ndarray:
+    """(M, 3) what the observations owe to gloss."""
+    return sheen(
+        of.seen.point,
+        lights.light[of.seen.photo],
+        of.towards,
+        of.points.normal,
+        transfer.directions,
+        transfer.visible,
+        lights.radiance,
+    )
 
 
 def _weights(seen: Observations) -> np.ndarray:
@@ -158,121 +325,6 @@ def _first_exposures(seen: Observations, weight: np.ndarray, photos: int) -> np.
     return np.where(total > 0.0, mean - mean[total > 0.0].mean(), 0.0)
 
 
-def _project(
-    target: np.ndarray, irradiance: np.ndarray, seen: Observations, light: np.ndarray, weight: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The best log albedo (C, 3) for given lights, the residuals (M, 3) and their robust weights (M, 3)."""
-    over_light = target - np.log(irradiance)[seen.point, light[seen.photo]]
-    trust = weight
-    for _ in range(3):
-        total = sums(trust, seen.point, len(irradiance)) + 1e-9
-        log_albedo = sums(trust * over_light, seen.point, len(irradiance)) / total
-        residual = over_light - log_albedo[seen.point]
-        trust = weight / (1.0 + (residual / OUTLIER) ** 2)
-    return log_albedo.astype(np.float32), residual, trust
-
-
 def sums(values: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
     """(count, 3) float32: the rows (M, 3) added up by index (M,)."""
     return np.stack([np.bincount(index, channel, count) for channel in values.T], axis=1).astype(np.float32)
-
-
-def _prior_precision(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse covariances (D, D) of brightness and of colour over the sphere."""
-    apart = np.arccos(np.clip(directions @ directions.T, -1.0, 1.0)).astype(np.float64)
-
-    def inverse(deviation: float, length: float, mean: float) -> np.ndarray:
-        covariance = deviation**2 * np.exp(-apart / length) + mean**2 + 1e-4 * np.eye(len(apart))
-        return np.asarray(np.linalg.inv(covariance))
-
-    return inverse(*BRIGHTNESS, LEVEL), inverse(*COLOUR, MEAN_COLOUR)
-
-
-def _gauss_newton(
-    chosen: np.ndarray,
-    direct: np.ndarray,
-    radiance: np.ndarray,
-    irradiance: np.ndarray,
-    seen: Observations,
-    light: np.ndarray,
-    trust: np.ndarray,
-    residual: np.ndarray,
-    log_radiance: np.ndarray,
-    exposure: np.ndarray,
-    precision: tuple[np.ndarray, np.ndarray],
-    damping: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """One damped step on log radiance (J, D, 3) and exposure (K,), albedo eliminated, from the chosen points."""
-    lights, count, _ = log_radiance.shape
-    size, photos = lights * count, len(exposure)
-    renumbered = np.full(len(direct), -1)
-    renumbered[chosen] = np.arange(len(chosen))
-    rows = np.flatnonzero(renumbered[seen.point] >= 0)
-    point, photo = renumbered[seen.point[rows]], seen.photo[rows]
-    ends = np.searchsorted(photo, np.arange(photos + 1))
-    matrix = np.zeros((3 * size + photos, 3 * size + photos), np.float32)
-    right = np.zeros(3 * size + photos)
-    exposures = slice(3 * size, None)
-    for channel in range(3):
-        own = slice(channel * size, (channel + 1) * size)
-        w, r = trust[rows, channel], residual[rows, channel]
-        by_light = np.bincount(point * lights + light[photo], w, len(chosen) * lights).reshape(-1, lights)
-        total = by_light.sum(axis=1) + 1e-9
-        r = r - (np.bincount(point, w * r, len(chosen)) / total)[point]
-        pull = np.bincount(point * lights + light[photo], w * r, len(chosen) * lights).reshape(-1, lights)
-        # how the log of a point's irradiance answers to the log of each direction's radiance
-        answer = (
-            direct[chosen][:, None, :]
-            * radiance[None, :, :, channel]
-            / irradiance[chosen][:, :, channel, None]
-        )
-        shared = (answer * (by_light / np.sqrt(total)[:, None])[:, :, None].astype(np.float32)).reshape(
-            -1, size
-        )
-        matrix[own, own] = -(shared.T @ shared)
-        for j in range(lights):
-            block = slice(channel * size + j * count, channel * size + (j + 1) * count)
-            matrix[block, block] += (answer[:, j] * by_light[:, j, None].astype(np.float32)).T @ answer[:, j]
-        right[own] = np.einsum("cjd,cj->jd", answer, pull).reshape(-1)
-        spread = np.zeros((len(chosen), photos), np.float32)
-        spread[point, photo] = w
-        cross = -(spread / np.sqrt(total)[:, None].astype(np.float32)).T @ shared
-        for k in range(photos):
-            mine = slice(ends[k], ends[k + 1])
-            block = slice(light[k] * count, (light[k] + 1) * count)
-            cross[k, block] += w[mine].astype(np.float32) @ answer[point[mine], light[k]]
-        matrix[exposures, own], matrix[own, exposures] = cross, cross.T
-        matrix[exposures, exposures] += np.diag(spread.sum(axis=0)) - spread.T @ (spread / total[:, None])
-        right[exposures] += np.bincount(photo, w * r, photos)
-    system = torch.from_numpy(matrix).double() * TRUST
-    right *= TRUST
-    _add_prior(system.numpy(), right, log_radiance, exposure, precision)
-    system.diagonal().mul_(1.0 + 0.01 * damping).add_(1e-8)
-    change = torch.cholesky_solve(torch.from_numpy(right)[:, None], torch.linalg.cholesky(system))[
-        :, 0
-    ].numpy()
-    change *= min(1.0, LONGEST_STEP / max(float(np.abs(change[: 3 * size]).max()), 1e-9))
-    return change[: 3 * size].reshape(3, lights, count).transpose(1, 2, 0), change[3 * size :]
-
-
-def _add_prior(
-    system: np.ndarray,
-    right: np.ndarray,
-    log_radiance: np.ndarray,
-    exposure: np.ndarray,
-    precision: tuple[np.ndarray, np.ndarray],
-) -> None:
-    """Add the prior's pull to the normal equations, in place. Channels are laid out one after another."""
-    lights, count, _ = log_radiance.shape
-    grey = np.full((3, 3), 1.0 / 3.0)
-    for matrix, part in zip(precision, (grey, np.eye(3) - grey), strict=True):
-        pull = np.einsum("de,jex,xy->yjd", matrix, log_radiance, part).reshape(3, -1)
-        for x in range(3):
-            right[x * lights * count : (x + 1) * lights * count] -= pull[x]
-            for y in range(3):
-                for j in range(lights):
-                    row, column = (x * lights + j) * count, (y * lights + j) * count
-                    system[row : row + count, column : column + count] += part[x, y] * matrix
-    photos = np.arange(3 * lights * count, len(right))
-    system[photos, photos] += 1.0 / EXPOSURE**2
-    right[photos] -= exposure / EXPOSURE**2

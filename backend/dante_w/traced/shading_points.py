@@ -12,11 +12,10 @@ import numpy as np
 
 from dante_w.color import linear_from_srgb_array
 from dante_w.rays.ray_cache import RayCache
+from dante_w.traced.robust import ALL, CLIPPED, NEAR_EDGE, Weights
 
 #: Cells along either side of the texture.
 SIDE = 256
-#: Encoded values from here up are taken for clipped.
-CLIPPED = 0.995
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,8 @@ class ShadingPoints:
 class Observations:
     """What photos see of the points, one row per photo and point, photo after photo: `point` and `photo` (M,)
     int32, `colour` (M, 3) mean linear colour, `pixels` (M,) how many were averaged, `clipped` (M,) whether any was
-    too bright for the photo."""
+    too bright for the photo. Pixels beside an edge in depth are left out; where there are no others, `pixels` is 0 and
+    `colour` theirs."""
 
     point: np.ndarray
     photo: np.ndarray
@@ -65,7 +65,9 @@ def cells(uv: np.ndarray) -> np.ndarray:
     return row * SIDE + column
 
 
-def gather(cache: RayCache, cameras: np.ndarray) -> tuple[ShadingPoints, Observations]:
+def gather(
+    cache: RayCache, cameras: np.ndarray, weights: Weights = ALL
+) -> tuple[ShadingPoints, Observations]:
     """The shading points of a scene and what its photos see of them.
 
     Args:
@@ -91,7 +93,10 @@ def gather(cache: RayCache, cameras: np.ndarray) -> tuple[ShadingPoints, Observa
         facing = normals[face[best]]
         towards = np.einsum("ij,ij->i", facing, cameras[photo] - place[best]) >= 0.0
         normal[here_better] = np.where(towards[:, None], facing, -facing)
-        rows.append(_averaged(photo, cell, np.asarray(cache.colour[first:end], np.float32)))
+        clear = np.ones(end - first, bool)
+        if weights.edge and cache.edge is not None:
+            clear = np.asarray(cache.edge[first:end]) >= NEAR_EDGE
+        rows.append(_averaged(photo, cell, np.asarray(cache.colour[first:end], np.float32), clear))
     used = np.flatnonzero(np.isfinite(nearest))
     point_of_cell = np.full(count, -1, np.int32)
     point_of_cell[used] = np.arange(len(used))
@@ -117,12 +122,14 @@ def face_normals(corners: np.ndarray) -> np.ndarray:
     return np.asarray(cross / np.where(length > 0.0, length, 1.0), np.float32)
 
 
-def _averaged(photo: int, cell: np.ndarray, srgb: np.ndarray) -> tuple[np.ndarray, ...]:
-    """One photo's mean colours by cell: cell, photo, colour, pixels, clipped."""
-    here, index, pixels = np.unique(cell, return_inverse=True, return_counts=True)
+def _averaged(photo: int, cell: np.ndarray, srgb: np.ndarray, clear: np.ndarray) -> tuple[np.ndarray, ...]:
+    """One photo's mean colours by cell: cell, photo, colour, pixels, clipped. `clear` (N,) bool: not beside an edge."""
+    here, index = np.unique(cell, return_inverse=True)
+    pixels = np.bincount(index, clear, len(here))
+    counts = clear | (pixels[index] == 0)
     linear = linear_from_srgb_array(srgb)
-    colour = np.stack([np.bincount(index, channel, len(here)) for channel in linear.T], axis=1)
-    clipped = np.bincount(index, (srgb >= CLIPPED).any(axis=1), len(here)) > 0
+    total = np.stack([np.bincount(index, counts * channel, len(here)) for channel in linear.T], axis=1)
+    colour = np.asarray(total / np.bincount(index, counts, len(here))[:, None], np.float32)
+    clipped = np.bincount(index, counts & (srgb >= CLIPPED).any(axis=1), len(here)) > 0
     photos = np.full(len(here), photo, np.int32)
-    mean = np.asarray(colour / pixels[:, None], np.float32)
-    return here, photos, mean, pixels.astype(np.int32), clipped
+    return here, photos, colour, pixels.astype(np.int32), clipped

@@ -1,40 +1,44 @@
-"""From the ray cache to an albedo texture by traced light, with no network and no prior."""
+"""From the ray cache to an albedo texture by traced light, with no network and no need of priors."""
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from dante_w.model.held_out import choose_held_out
 from dante_w.progress import Progress
 from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.raycast import Frame3D, Raycaster
+from dante_w.scene.exposure import log_exposures
 from dante_w.scene.mesh import Mesh
 from dante_w.scene.scene_folder import Frame
 from dante_w.traced.albedo import albedo_texture
 from dante_w.traced.groups import first_groups
-from dante_w.traced.lights import solve_lights
-from dante_w.traced.shading_points import gather
-from dante_w.traced.transfer import trace_transfer
+from dante_w.traced.held_out import place
+from dante_w.traced.lights import KnownAlbedo, Parts, solve_lights
+from dante_w.traced.priors import known_albedo
+from dante_w.traced.shading_points import Observations, ShadingPoints, gather
+from dante_w.traced.transfer import Transfer, trace_transfer
 
-#: Directions that light comes from: fewer lose the shadows' edges, more cost time (cubed) and tell no more.
-DIRECTIONS = 256
+
+@dataclass(frozen=True)
+class Traced:
+    """What the photos show of the mesh's shading points, and how light reaches these."""
+
+    cameras: np.ndarray
+    points: ShadingPoints
+    seen: Observations
+    transfer: Transfer
+    prior: KnownAlbedo | None
+    exposures: np.ndarray | None
 
 
-def recover_albedo(
-    cache: RayCache,
-    footprints: np.ndarray,
-    mesh: Mesh,
-    frames: list[Frame],
-    size: int,
-    seed: int,
-    progress: Progress,
-) -> tuple[np.ndarray, dict[str, Any]]:
-    """The albedo (size, size, 3), float32 and linear, and facts for the report.
-
-    Args:
-        footprints: (N,) of the cache's samples, as fractions of the texture's side.
-    """
+def examine(
+    cache: RayCache, mesh: Mesh, frames: list[Frame], directions: int, prior_weight: float, progress: Progress
+) -> Traced:
+    """Average the photos over shading points and trace light between them."""
     frame3d = Frame3D.of(mesh.vertices)
     cameras = frame3d.normalise(np.stack([frame.camera_to_world[:3, 3] for frame in frames]))
     progress.update("transfer", 0.0, 1.0)
@@ -43,28 +47,59 @@ def recover_albedo(
         points,
         Raycaster(mesh, frame3d),
         cache.surface.uvs.numpy(),
-        DIRECTIONS,
+        directions,
         lambda done: progress.update("transfer", done, 1.0),
     )
+    prior = known_albedo(cache, points, prior_weight) if prior_weight > 0.0 else None
+    exposures = log_exposures([frame.image for frame in frames])
+    return Traced(cameras, points, seen, transfer, prior, exposures)
+
+
+def recover_albedo(
+    of: Traced,
+    cache: RayCache,
+    size: int,
+    parts: Parts,
+    seed: int,
+    progress: Progress,
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """The albedo (size, size, 3), float32 and linear, and facts for the report.
+
+    Lights are solved without the held-out photos; these then get the light and exposure that fit them best, and
+    give their colour to the texture like all others.
+    """
+    assert cache.footprint is not None
+    photos = len(of.cameras)
     progress.update("lights", 0.0, 1.0)
-    groups = first_groups(seen, len(points), len(frames))
+    held_out = choose_held_out(photos)
     lights = solve_lights(
-        points,
-        transfer,
-        seen,
-        cameras,
-        groups,
+        of.points,
+        of.transfer,
+        of.seen.of(~np.isin(of.seen.photo, held_out)),
+        of.cameras,
+        first_groups(of.seen, len(of.points), photos),
         seed,
         lambda step, steps: progress.update("lights", step, steps),
+        parts,
+        of.prior,
+        of.exposures,
     )
+    lights, score = place(lights, of.points, of.transfer, of.seen, of.cameras, held_out, parts)
     texture = albedo_texture(
         cache,
-        footprints,
-        points,
-        transfer,
+        cache.footprint,
+        of.points,
+        of.transfer,
         lights,
-        cameras,
+        of.cameras,
         size,
         lambda done: progress.update("albedo", done, 1.0),
+        of.seen,
+        parts.gloss,
     )
-    return texture, {"lights": [int(light) for light in lights.light], "shading_points": len(points)}
+    return texture, {
+        "parts": asdict(parts),
+        "lights": [int(light) for light in lights.light],
+        "shading_points": len(of.points),
+        "held_out_psnr": score,
+    }

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import prange
@@ -111,6 +111,17 @@ def trace_transfer(
     return Transfer(
         directions, visible, direct, first, np.concatenate(sources), np.concatenate(weights), lost
     )
+
+
+def coarser(transfer: Transfer, count: int) -> tuple[Transfer, np.ndarray]:
+    """The same transfer for `count` directions, and which of these (D,) each of the old ones belongs to."""
+    directions = sphere(count).astype(np.float32)
+    part_of = (transfer.directions @ directions.T).argmax(axis=1)
+    membership = np.zeros((len(part_of), count), np.float32)
+    membership[np.arange(len(part_of)), part_of] = 1.0
+    visible = transfer.visible @ (membership / np.maximum(membership.sum(axis=0), 1.0))
+    coarse = replace(transfer, directions=directions, visible=visible, direct=transfer.direct @ membership)
+    return coarse, part_of
 
 
 def bounced(transfer: Transfer, leaving: np.ndarray) -> np.ndarray:

@@ -1,0 +1,152 @@
+"""Grid encodings of a block of points, and their transpose; see `hash_encoding` for the definition.
+
+A level is read in two steps: which table entries a point lies between and with which weights, then the sum itself.
+The transpose takes the same first step, so the two cannot disagree.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dante_w.jit import njit_fast
+from dante_w.model.kernels import BLOCK
+
+_ONE = np.float32(1.0)
+_PRIME_Y, _PRIME_Z = np.uint32(2654435761), np.uint32(805459861)
+
+
+class Grid(NamedTuple):
+    """`tables` (entries of all levels, F) float32; level l has `resolutions`[l] and the entries from `offsets`[l] to
+    `offsets`[l + 1]; `shift` is 0.5 where values sit at texel centres, else 0."""
+
+    tables: np.ndarray
+    resolutions: np.ndarray
+    offsets: np.ndarray
+    shift: np.float32
+
+
+@njit_fast
+def corners(points, resolution, shift, entries, entry, weight):  # type: ignore[no-untyped-def]
+    """The corners of the cells that points lie in.
+
+    Args:
+        points: (D, BLOCK) in [0, 1], D = 2 or 3.
+        entry, weight: (2^D, BLOCK) to write: uint32 places in the level's table, and float32 weights.
+    """
+    if len(points) == 2:
+        _corners_2d(points, resolution, shift, entries, entry, weight)
+    else:
+        _corners_3d(points, resolution, shift, entries, entry, weight)
+
+
+@njit_fast
+def _corners_2d(points, resolution, shift, entries, entry, weight):  # type: ignore[no-untyped-def]
+    side = np.int32(resolution + _ONE - np.float32(2.0) * shift)
+    last, far = np.float32(side - 1), np.int32(side - 2)
+    dense = np.int64(side) * np.int64(side) <= entries
+    mask = np.uint32(entries - 1)
+    for s in range(BLOCK):
+        sx = min(max(points[0, s] * resolution - shift, np.float32(0.0)), last)
+        sy = min(max(points[1, s] * resolution - shift, np.float32(0.0)), last)
+        x, y = min(np.int32(sx), far), min(np.int32(sy), far)
+        fx, fy = sx - np.float32(x), sy - np.float32(y)
+        high, low = fy, _ONE - fy
+        weight[0, s], weight[1, s] = low - low * fx, low * fx
+        weight[2, s], weight[3, s] = high - high * fx, high * fx
+        if dense:
+            corner = np.int32(x + np.int32(y * side))
+            entry[0, s], entry[1, s] = corner, corner + np.int32(1)
+            entry[2, s], entry[3, s] = corner + side, np.int32(corner + side) + np.int32(1)
+        else:
+            hy = np.uint32(np.uint32(y) * _PRIME_Y)
+            hy1 = np.uint32(hy + _PRIME_Y)
+            x0, x1 = np.uint32(x), np.uint32(x + np.int32(1))
+            entry[0, s], entry[1, s] = (x0 ^ hy) & mask, (x1 ^ hy) & mask
+            entry[2, s], entry[3, s] = (x0 ^ hy1) & mask, (x1 ^ hy1) & mask
+
+
+@njit_fast
+def _corners_3d(points, resolution, shift, entries, entry, weight):  # type: ignore[no-untyped-def]
+    side = np.int32(resolution + _ONE - np.float32(2.0) * shift)
+    last, far = np.float32(side - 1), np.int32(side - 2)
+    dense = np.int64(side) * np.int64(side) * np.int64(side) <= entries
+    mask = np.uint32(entries - 1)
+    plane = np.int32(side * side)
+    for s in range(BLOCK):
+        sx = min(max(points[0, s] * resolution - shift, np.float32(0.0)), last)
+        sy = min(max(points[1, s] * resolution - shift, np.float32(0.0)), last)
+        sz = min(max(points[2, s] * resolution - shift, np.float32(0.0)), last)
+        x, y, z = min(np.int32(sx), far), min(np.int32(sy), far), min(np.int32(sz), far)
+        fx, fy, fz = sx - np.float32(x), sy - np.float32(y), sz - np.float32(z)
+        for bz in range(2):
+            wz = fz if bz else _ONE - fz
+            for by in range(2):
+                wy = wz * fy if by else wz - wz * fy
+                c = by * 2 + bz * 4
+                weight[c, s], weight[c + 1, s] = wy - wy * fx, wy * fx
+                yb, zb = np.int32(y + np.int32(by)), np.int32(z + np.int32(bz))
+                if dense:
+                    corner = np.int32(x + np.int32(yb * side) + np.int32(zb * plane))
+                    entry[c, s], entry[c + 1, s] = corner, corner + np.int32(1)
+                else:
+                    h = np.uint32(np.uint32(yb) * _PRIME_Y) ^ np.uint32(np.uint32(zb) * _PRIME_Z)
+                    entry[c, s] = (np.uint32(x) ^ h) & mask
+                    entry[c + 1, s] = (np.uint32(x + np.int32(1)) ^ h) & mask
+
+
+@njit_fast
+def encode(grid, points, entry, weight, encoded):  # type: ignore[no-untyped-def]
+    """Encode points (D, BLOCK) into `encoded` (L F, BLOCK); `entry` and `weight` are scratch, see `corners`."""
+    features = grid.tables.shape[1]
+    for level in range(len(grid.resolutions)):
+        start, end = grid.offsets[level], grid.offsets[level + 1]
+        corners(points, grid.resolutions[level], grid.shift, end - start, entry, weight)
+        table = grid.tables[start:end]
+        for f in range(features):
+            row = encoded[level * features + f]
+            for s in range(BLOCK):
+                row[s] = weight[0, s] * table[entry[0, s], f]
+            for c in range(1, 1 << len(points)):
+                for s in range(BLOCK):
+                    row[s] += weight[c, s] * table[entry[c, s], f]
+
+
+@njit_fast
+def scatter(points, resolution, shift, rows, first_row, gradient):  # type: ignore[no-untyped-def]
+    """The transpose of encoding with one level: add upstream gradients to its entries' `gradient` (entries, F).
+
+    points: (N, D) as they came. rows: (blocks, R, BLOCK), of which the F from `first_row` on belong to
+    the level. Samples are taken in order, so sums come out the same every time.
+    """
+    dimensions, features = points.shape[1], gradient.shape[1]
+    block = np.empty((dimensions, BLOCK), np.float32)
+    entry = np.empty((1 << dimensions, BLOCK), np.uint32)
+    weight = np.empty((1 << dimensions, BLOCK), np.float32)
+    for first in range(0, len(points), BLOCK):
+        count = min(BLOCK, len(points) - first)
+        load(points, first, block)
+        corners(block, resolution, shift, len(gradient), entry, weight)
+        own = rows[first // BLOCK, first_row : first_row + features]
+        if features == 2:  # known lengths are loops unrolled
+            for s in range(count):
+                for c in range(1 << dimensions):
+                    e, w = entry[c, s], weight[c, s]
+                    gradient[e, 0] += w * own[0, s]
+                    gradient[e, 1] += w * own[1, s]
+        else:
+            for s in range(count):
+                for c in range(1 << dimensions):
+                    e, w = entry[c, s], weight[c, s]
+                    for f in range(features):
+                        gradient[e, f] += w * own[f, s]
+
+
+@njit_fast
+def load(points, first, block):  # type: ignore[no-untyped-def]
+    """Points (N, D) from `first` on into `block` (D, BLOCK), into [0, 1]; NaN and what is past the end become 0."""
+    for d in range(len(block)):
+        for s in range(BLOCK):
+            value = points[first + s, d] if first + s < len(points) else np.float32(0.0)
+            block[d, s] = min(value, _ONE) if value > np.float32(0.0) else np.float32(0.0)

@@ -1,0 +1,164 @@
+"""Recovery by the paper's model: both fields fitted by gradient descent."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from dante_w.device import pick_device
+from dante_w.errors import BadInput, DanteError
+from dante_w.expectation import QUALITY, Expectation, Work, predict
+from dante_w.model.fields import Model, ModelSpec
+from dante_w.model.gauge import albedo_gain, start_exposures
+from dante_w.model.held_out import choose_held_out, held_out_psnr
+from dante_w.model.optimise import LossTerms, fit, photo_ranges
+from dante_w.model.presets import PRESETS, equal_bands, sized
+from dante_w.pace import Fitting, Texture, measure
+from dante_w.progress import Progress
+from dante_w.rays.ray_cache import RayCache
+from dante_w.scene.mesh import Mesh
+from dante_w.scene.scene_folder import Scene
+from dante_w.stages import (
+    GUTTER,
+    TEXEL_TYPES,
+    bake_files,
+    begin,
+    known_gain,
+    pixels,
+    prepare,
+    trace_rays,
+    write_report,
+)
+from dante_w.texture.coverage import empty_coverage, mark
+
+
+def recover_field(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+    """The paper's model: both fields fitted by gradient descent."""
+    device = pick_device(options.device)
+    preset = PRESETS[options.preset]
+    spec = equal_bands(preset.model) if options.equal_bands else preset.model
+    size = options.texture_size or preset.texture_size
+    scene, mesh = prepare(options, options.priors, size, staging, progress)
+    use_prior = options.prior_weight > 0.0 and any(frame.albedo for frame in scene.frames)
+    if options.no_photometric and not use_prior:
+        raise BadInput("--no-photometric leaves only the priors, and there are none; add --priors DIR.")
+    ours = (0.0, 0.0) if use_prior else (preset.white_light, preset.small_offset)
+    terms = LossTerms(not options.no_photometric, options.prior_weight, *ours)
+    held_out = choose_held_out(len(scene.frames))
+    fitting = Fitting(spec, terms, preset.schedule.batch, device)
+    expected = _expect(options, scene, mesh, held_out, size, fitting, staging, progress)
+    coverage = empty_coverage(size, size)
+
+    def visit(uv: np.ndarray, footprint: np.ndarray, _: np.ndarray) -> None:
+        mark(coverage, uv, footprint * size)
+
+    cache = trace_rays(scene, mesh, visit, staging, progress)
+    everything = photo_ranges(cache, np.arange(len(scene.frames)))
+    spec = spec if options.preset == "paper" else sized(spec, size, cache)
+    model, score = _fit(cache, spec, terms, options, device, held_out, progress)
+    if not all(bool(torch.isfinite(parameter).all()) for parameter in model.parameters()):
+        raise DanteError(
+            "The fit diverged, so there is no texture; run again with another --seed or --lambda."
+        )
+    progress.update("bake", 0.0, 1.0)
+    gain = torch.ones(3) if use_prior else albedo_gain(model, cache, everything, options.seed).cpu()
+
+    @torch.no_grad()
+    def texels(uv: np.ndarray) -> np.ndarray:
+        albedo = model.albedo(torch.from_numpy(uv).float().to(device)).cpu()
+        return (albedo * gain).clamp(0.0, 1.0).numpy()
+
+    known = known_gain(texels, coverage, options.known)
+    seen = bake_files(
+        lambda uv: np.minimum(texels(uv) * known, 1.0), mesh, coverage, options.format, staging, progress
+    )
+    return write_report(
+        options,
+        staging,
+        progress,
+        device=str(device),
+        preset={**dataclasses.asdict(preset), "model": dataclasses.asdict(spec)},
+        photos=len(scene.frames),
+        samples=len(cache),
+        priors=sum(frame.albedo is not None for frame in scene.frames),
+        held_out_photos=[scene.frames[i].image.name for i in held_out],
+        held_out_psnr=score,
+        albedo_gain=[round(float(g), 4) for g in gain.numpy() * known],
+        coverage=seen,
+        texture_size=size,
+        expected=expected,
+    )
+
+
+def _expect(
+    options: argparse.Namespace,
+    scene: Scene,
+    mesh: Mesh,
+    held_out: np.ndarray,
+    size: int,
+    fitting: Fitting,
+    staging: Path,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Say what the run will take and what its preset reached elsewhere; returns that for the report."""
+    preset, texture = PRESETS[options.preset], Texture(size, TEXEL_TYPES[options.format], GUTTER)
+    work = Work(
+        photos=len(scene.frames),
+        pixels=pixels(scene.frames),
+        texels=size**2,
+        held_out_pixels=pixels(scene.frames[i] for i in held_out) if fitting.terms.photometric else 0,
+        steps=preset.schedule.steps,
+        final_steps=preset.final_pass.steps if len(held_out) and not options.keep_held_out else 0,
+    )
+    to_come = predict(measure(scene.frames, mesh, texture, staging, fitting), work)
+    begin(progress, to_come)
+    priors = any(frame.albedo for frame in scene.frames) and fitting.terms.prior_weight > 0.0
+    as_measured = not (priors or options.equal_bands)
+    expected = Expectation(progress.seconds | to_come, QUALITY[options.preset] if as_measured else None)
+    if options.json:
+        progress.say({"stage": "expected", **expected.as_dict()})
+    else:
+        print(expected.sentence(options.preset, priors), file=sys.stderr, flush=True)
+    return expected.as_dict()
+
+
+def _fit(
+    cache: RayCache,
+    spec: ModelSpec,
+    terms: LossTerms,
+    options: argparse.Namespace,
+    device: torch.device,
+    held_out: np.ndarray,
+    progress: Progress,
+) -> tuple[Model, float | None]:
+    """Fit without the held-out photos, score on them, then fit on with all photos; returns model and PSNR."""
+    photos = np.arange(len(cache.starts) - 1)
+    preset, seed = PRESETS[options.preset], options.seed
+
+    def report(stage: str) -> Callable[[int, int, float], None]:
+        return lambda step, steps, loss: progress.update(stage, step, steps, loss)
+
+    progress.update("optimise", 0, preset.schedule.steps)
+    torch.manual_seed(seed)
+    model = Model(spec, len(photos))
+    start_exposures(model, cache)
+    model.to(device)
+    training = photo_ranges(cache, np.setdiff1d(photos, held_out))
+    if len(training) == 0:
+        held_out, training = held_out[:0], photo_ranges(cache, photos)
+    fit(model, cache, training, terms, preset.schedule, seed, report("optimise"))
+    if len(held_out) == 0:
+        return model, None
+    score = held_out_psnr(model, cache, held_out, seed, report("held-out")) if terms.photometric else None
+    if not options.keep_held_out:
+        everything = photo_ranges(cache, photos)
+        progress.update("final pass", 0, preset.final_pass.steps)
+        fit(model, cache, everything, terms, preset.final_pass, seed + 1, report("final pass"))
+    return model, score

@@ -1,0 +1,166 @@
+"""Stages that every command shares: the scene, the rays, the files."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dante_w import __version__
+from dante_w.device import peak_memory
+from dante_w.doctor import library_versions
+from dante_w.expectation import Work, predict, since_start
+from dante_w.pace import Texture, measure
+from dante_w.progress import Progress
+from dante_w.rays.ray_cache import RayCache, trace
+from dante_w.result_folder import REPORT
+from dante_w.scene.images import write_exr, write_png
+from dante_w.scene.load import load_scene
+from dante_w.scene.mesh import Mesh, write_obj
+from dante_w.scene.scene_folder import Frame, Scene
+from dante_w.texture.bake import Texels, bake
+from dante_w.texture.coverage import Coverage
+from dante_w.texture.coverage import seen as seen_texels
+from dante_w.texture.known_colours import KnownColour, gain
+from dante_w.texture.unwrap import unwrap
+from dante_w.texture.uvmap import check_uvs
+
+#: Texels beyond each chart that are painted, so that mipmaps and bilinear lookups do not bleed.
+GUTTER = 16
+TEXEL_TYPES = {"png": np.uint8, "png16": np.uint16, "exr": np.float16}
+#: Texels a side at which known colours are looked up.
+LOOKUP = 1024
+
+
+def prepare(
+    options: argparse.Namespace, priors: Path | None, size: int, staging: Path, progress: Progress
+) -> tuple[Scene, Mesh]:
+    scene, mesh = load_scene(options.scene, options.mesh, options.images, priors)
+    progress.update("scene", 1, 1)
+    if options.unwrap:
+        mesh = unwrap(mesh, lambda done: progress.update("unwrap", done, 1.0), size)
+        write_obj(staging / "mesh.obj", mesh)
+    check_uvs(mesh.uvs, options.mesh or scene.mesh or scene.source)
+    return scene, mesh
+
+
+def expect_no_fit(
+    options: argparse.Namespace, scene: Scene, mesh: Mesh, size: int, staging: Path, progress: Progress
+) -> None:
+    """Begin a run whose texture needs no fit, with what its stages will take."""
+    work = Work(len(scene.frames), pixels(scene.frames), size**2)
+    texture = Texture(size, TEXEL_TYPES[options.format], GUTTER)
+    begin(progress, predict(measure(scene.frames, mesh, texture, staging), work))
+
+
+def begin(progress: Progress, to_come: dict[str, float]) -> None:
+    """End the stages that only prepare, count the time before them as one more, and expect the others."""
+    progress.close()
+    start = max(since_start() - sum(progress.seconds.values()), 0.0)
+    progress.seconds = {"start": round(start, 3), **progress.seconds}
+    progress.expect(to_come)
+
+
+def pixels(frames: Iterable[Frame]) -> int:
+    return sum(frame.camera.width * frame.camera.height for frame in frames)
+
+
+def trace_rays(
+    scene: Scene,
+    mesh: Mesh,
+    visit: Callable[[np.ndarray, np.ndarray, np.ndarray], None],
+    staging: Path,
+    progress: Progress,
+) -> RayCache:
+    spill = staging / "rays"
+    spill.mkdir()
+    progress.update("rays", 0.0, 1.0)
+    return trace(mesh, scene.frames, visit, lambda done: progress.update("rays", done, 1.0), spill)
+
+
+def nearest(texture: np.ndarray) -> Texels:
+    """The texels of a square texture that is there already."""
+    size = len(texture)
+
+    def texels(uv: np.ndarray) -> np.ndarray:
+        column = (uv[:, 0] * size).astype(np.int64).clip(0, size - 1)
+        row = ((1.0 - uv[:, 1]) * size).astype(np.int64).clip(0, size - 1)
+        return np.minimum(texture[row, column], 1.0)
+
+    return texels
+
+
+def known_gain(texels: Texels, coverage: Coverage, known: list[KnownColour]) -> np.ndarray:
+    """The gain (3,) on linear albedo that brings it to the colours that the user knows; 1 if there are none.
+
+    Raises:
+        BadInput: see `known_colours.gain`.
+    """
+    if not known:
+        return np.ones(3)
+    side = min(coverage.width, LOOKUP)
+    centre = (np.arange(side) + 0.5) / side
+    u, v = np.meshgrid(centre, 1.0 - centre)
+    texture = texels(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(side, side, 3)
+    place = (centre * coverage.width).astype(np.int64)
+    return gain(texture, seen_texels(coverage)[np.ix_(place, place)], known)
+
+
+def bake_files(
+    texels: Texels, mesh: Mesh, coverage: Coverage, kind: str, staging: Path, progress: Progress
+) -> float:
+    """Write the albedo and coverage images; returns the fraction of the texels on the mesh that were seen."""
+    assert mesh.uvs is not None
+    shape = (coverage.height, coverage.width)
+    files = {"albedo.raw": (*shape, 3), "coverage.raw": shape}
+    kinds = {"albedo.raw": TEXEL_TYPES[kind], "coverage.raw": np.uint8}
+    out, marks = (np.memmap(staging / name, kinds[name], "w+", shape=files[name]) for name in files)
+    seen = bake(
+        texels, mesh.uvs, coverage, GUTTER, out, marks, lambda done: progress.update("bake", done, 1.0)
+    )
+    progress.update("write", 0, 1)
+    if kind == "exr":
+        write_exr(staging / "albedo.exr", out)
+    else:
+        write_png(staging / "albedo.png", out)
+    write_png(staging / "coverage.png", marks)
+    del out, marks
+    for name in files:
+        (staging / name).unlink()
+    progress.update("write", 1, 1)
+    return seen
+
+
+def write_report(
+    options: argparse.Namespace, staging: Path, progress: Progress, **facts: Any
+) -> dict[str, Any]:
+    """Write report.json; returns its content."""
+    progress.close()
+    report = {
+        "dante_w": __version__,
+        "settings": {name: _plain(v) for name, v in vars(options).items()},
+        **facts,
+        "seconds": progress.seconds,
+        "peak_memory_bytes": peak_memory(),
+        "versions": library_versions(),
+    }
+    (staging / REPORT).write_text(json.dumps(report, indent=1), encoding="utf-8")
+    return report
+
+
+def _plain(value: Any) -> Any:
+    """An option as JSON has it."""
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    return (
+        dataclasses.asdict(value)
+        if isinstance(value, KnownColour)
+        else str(value)
+        if isinstance(value, Path)
+        else value
+    )

@@ -1,0 +1,88 @@
+"""How well photos that the lights were not solved from are re-rendered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dante_w.color import srgb_from_linear_array
+from dante_w.traced.gloss import sheen
+from dante_w.traced.lights import FAINTEST, OUTLIER, Lights, Parts
+from dante_w.traced.shading_points import SIDE, Observations, ShadingPoints
+from dante_w.traced.transfer import Transfer
+
+#: Rows of cells that take turns in fitting and scoring.
+BAND = 8
+
+
+def place(
+    lights: Lights,
+    points: ShadingPoints,
+    transfer: Transfer,
+    seen: Observations,
+    cameras: np.ndarray,
+    photos: np.ndarray,
+    parts: Parts,
+) -> tuple[Lights, float | None]:
+    """Give each of `photos` the light and exposure that fit it best; returns the lights with these, and the PSNR.
+
+    A photo's own light and exposure are fitted on one half of what it shows, in bands of the texture; PSNR in dB of
+    sRGB colours, a shading point's mean each, is taken on the other half. None if nothing is left to score.
+
+    Args:
+        seen: what all photos show.
+    """
+    light, exposure = lights.light.copy(), lights.log_exposure.copy()
+    cell = np.flatnonzero(points.point_of_cell >= 0)
+    band = (cell // SIDE // BAND) % 2 == 0
+    squared, count = 0.0, 0
+    for photo in photos:
+        rows = seen.of((seen.photo == photo) & lights.known[seen.point] & ~seen.clipped)
+        fitted = band[rows.point]
+        if not fitted.any():
+            continue
+        shown = _shown(lights, points, transfer, rows, cameras[photo], parts)
+        off = np.log(np.maximum(rows.colour, FAINTEST))[:, None] - np.log(np.maximum(shown, FAINTEST))
+        gain = (
+            np.median(off[fitted], axis=(0, 2))
+            if parts.exposures
+            else np.full(shown.shape[1], np.median(lights.log_exposure))
+        )
+        cost = np.minimum(np.abs(off[fitted] - gain[:, None]), 2.0 * OUTLIER).mean(axis=(0, 2))
+        light[photo] = int(cost.argmin())
+        exposure[photo] = gain[light[photo]]
+        rendered = np.exp(exposure[photo]) * shown[~fitted, light[photo]]
+        wanted = rows.colour[~fitted]
+        error = np.subtract(*(srgb_from_linear_array(np.clip(each, 0.0, 1.0)) for each in (rendered, wanted)))
+        squared, count = squared + float(np.square(error, dtype=np.float64).sum()), count + error.size
+    score = -10.0 * float(np.log10(max(squared / count, 1e-12))) if count else None
+    return replace(lights, light=light, log_exposure=exposure), score
+
+
+def _shown(
+    lights: Lights,
+    points: ShadingPoints,
+    transfer: Transfer,
+    rows: Observations,
+    camera: np.ndarray,
+    parts: Parts,
+) -> np.ndarray:
+    """(N, J, 3) linear colours of one photo's rows under each light, at an exposure of 1."""
+    count, number = len(rows.point), len(lights.radiance)
+    shown = (lights.albedo[:, None] * lights.irradiance(transfer))[rows.point]
+    if parts.gloss:
+        towards = camera - points.position[rows.point]
+        towards = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
+        each = np.repeat(np.arange(number), count)
+        gloss = sheen(
+            np.tile(rows.point, number),
+            each,
+            np.tile(towards, (number, 1)),
+            points.normal,
+            transfer.directions,
+            transfer.visible,
+            lights.radiance,
+        )
+        shown = shown + gloss.reshape(number, count, 3).transpose(1, 0, 2)
+    return shown

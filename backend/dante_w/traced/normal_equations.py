@@ -1,0 +1,164 @@
+"""One damped Gauss-Newton step on log light and log exposure, albedo eliminated.
+
+An observation of point c in photo k says log p = g_k + log(a_c E_cj + S), with light j of k, irradiance E linear in the
+light's radiance, and sheen S held fixed. With f = a E / (a E + S), the part that is diffuse, its prediction changes by
+f (d log a_c + d log E_cj) + d g_k. Residuals here are divided by f and weights multiplied by its square, so that log
+albedo is a plain unknown, and d g_k / f is taken for d g_k. It is eliminated point by point (Schur complement).
+What the photos leave open, a prior on log light decides: a Gaussian process on the sphere, rough in brightness and
+almost without colour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+#: Standard deviation and correlation length (radians) of log light over the sphere, brightness and colour; and of its
+#: mean colour and level.
+BRIGHTNESS, COLOUR, MEAN_COLOUR, LEVEL = (2.0, 0.5), (0.15, 0.8), 0.1, 0.1
+#: What residuals count beside the prior: an observation as one of standard deviation 0.47, since neighbours err alike.
+TRUST = 0.1 / 0.15**2
+#: Standard deviation of the log of albedo's level, which a rule sets: steps allow for its being wrong.
+UNSURE_LEVEL = 0.35
+#: No log radiance changes by more than this in a step.
+LONGEST_STEP = 1.5
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Observations in rows sorted by photo. `point` (M,) counts from 0 to C, `photo` (M,); `weight` and `residual`
+    (M, 3) as above; `direct` (C, D); `irradiance` (C, J, 3) of the lights with `radiance` (J, D, 3); `light` (K,) of
+    each photo; `level` (M, 3) how the log of what is shown answers, divided by f, to the log of albedo's level: more of
+    it is bounced, less is sheen; `known` (C, 3) weight and `known_residual` (C, 3) of what a prior says of log albedo.
+    """
+
+    point: np.ndarray
+    photo: np.ndarray
+    weight: np.ndarray
+    residual: np.ndarray
+    direct: np.ndarray
+    irradiance: np.ndarray
+    radiance: np.ndarray
+    light: np.ndarray
+    level: np.ndarray
+    known: np.ndarray
+    known_residual: np.ndarray
+
+
+@dataclass(frozen=True)
+class ExposurePrior:
+    """Log exposures (K,) as known beforehand, and how far (standard deviation) they may be from that."""
+
+    mean: np.ndarray
+    deviation: float
+
+
+def prior_precision(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse covariances (D, D) of brightness and of colour over the sphere."""
+    apart = np.arccos(np.clip(directions @ directions.T, -1.0, 1.0)).astype(np.float64)
+
+    def inverse(deviation: float, length: float, mean: float) -> np.ndarray:
+        covariance = deviation**2 * np.exp(-apart / length) + mean**2 + 1e-4 * np.eye(len(apart))
+        return np.asarray(np.linalg.inv(covariance))
+
+    return inverse(*BRIGHTNESS, LEVEL), inverse(*COLOUR, MEAN_COLOUR)
+
+
+def step(
+    equations: Equations,
+    exposure: np.ndarray,
+    expected: ExposurePrior,
+    precision: tuple[np.ndarray, np.ndarray],
+    damping: float,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """The changes of log radiance (J, D, 3), of exposure (K,) and of the log of albedo's level."""
+    lights, count, _ = equations.radiance.shape
+    size, photos = lights * count, len(exposure)
+    unknowns = 3 * size + photos + 1  # the last one is the level's
+    matrix, right = np.zeros((unknowns, unknowns), np.float32), np.zeros(unknowns)
+    for channel in range(3):
+        _add_channel(matrix, right, equations, channel, photos)
+    system = torch.from_numpy(matrix).double() * TRUST
+    right *= TRUST
+    _add_prior(system.numpy(), right, np.log(equations.radiance), exposure, expected, precision)
+    system.diagonal().mul_(1.0 + 0.01 * damping).add_(1e-8)
+    change = torch.cholesky_solve(torch.from_numpy(right)[:, None], torch.linalg.cholesky(system)).numpy()[
+        :, 0
+    ]
+    change *= min(1.0, LONGEST_STEP / max(float(np.abs(change[: 3 * size]).max()), 1e-9))
+    radiance = change[: 3 * size].reshape(3, lights, count).transpose(1, 2, 0)
+    return radiance, change[3 * size : -1], float(change[-1])
+
+
+def _add_channel(matrix: np.ndarray, right: np.ndarray, of: Equations, channel: int, photos: int) -> None:
+    """Add what one channel's observations say to the normal equations, in place."""
+    points, (lights, count, _) = len(of.direct), of.radiance.shape
+    size = lights * count
+    own, exposures = slice(channel * size, (channel + 1) * size), slice(3 * size, -1)
+    point, photo, light = of.point, of.photo, of.light[of.photo]
+    w, r, known = of.weight[:, channel], of.residual[:, channel], of.known[:, channel]
+
+    def by_light(values: np.ndarray) -> np.ndarray:
+        return np.bincount(point * lights + light, values, points * lights).reshape(points, lights)
+
+    trust = by_light(w)
+    total = trust.sum(axis=1) + known + 1e-9
+    best = (np.bincount(point, w * r, points) + known * of.known_residual[:, channel]) / total
+    r = r - best[point]
+    # how the log of a point's irradiance answers to the log of each direction's radiance
+    answer = of.direct[:, None, :] * of.radiance[None, :, :, channel] / of.irradiance[:, :, channel, None]
+    shared = (answer * (trust / np.sqrt(total)[:, None])[:, :, None].astype(np.float32)).reshape(points, size)
+    matrix[own, own] = -(shared.T @ shared)
+    for j in range(lights):
+        block = slice(channel * size + j * count, channel * size + (j + 1) * count)
+        matrix[block, block] += (answer[:, j] * trust[:, j, None].astype(np.float32)).T @ answer[:, j]
+    right[own] = np.einsum("cjd,cj->jd", answer, by_light(w * r)).reshape(-1)
+
+    spread = np.zeros((points, photos), np.float32)
+    spread[point, photo] = w
+    cross = -(spread / np.sqrt(total)[:, None].astype(np.float32)).T @ shared
+    ends = np.searchsorted(photo, np.arange(photos + 1))
+    for k in range(photos):
+        mine = slice(ends[k], ends[k + 1])
+        block = slice(of.light[k] * count, (of.light[k] + 1) * count)
+        cross[k, block] += w[mine].astype(np.float32) @ answer[point[mine], of.light[k]]
+    matrix[exposures, own], matrix[own, exposures] = cross, cross.T
+    matrix[exposures, exposures] += np.diag(spread.sum(axis=0)) - spread.T @ (spread / total[:, None])
+    right[exposures] += np.bincount(photo, w * r, photos)
+
+    own_level = of.level[:, channel]
+    level = own_level - (np.bincount(point, w * own_level, points) / total)[point]
+    matrix[own, -1] = matrix[-1, own] = np.einsum("cjd,cj->jd", answer, by_light(w * level)).reshape(-1)
+    crossed = np.bincount(photo, w * level, photos)
+    matrix[exposures, -1] += crossed
+    matrix[-1, exposures] += crossed
+    matrix[-1, -1] += (w * level * own_level).sum()
+    right[-1] += (w * own_level * r).sum()
+
+
+def _add_prior(
+    system: np.ndarray,
+    right: np.ndarray,
+    log_radiance: np.ndarray,
+    exposure: np.ndarray,
+    expected: ExposurePrior,
+    precision: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Add the prior's pull to the normal equations, in place. Channels are laid out one after another."""
+    lights, count, _ = log_radiance.shape
+    grey = np.full((3, 3), 1.0 / 3.0)
+    for matrix, part in zip(precision, (grey, np.eye(3) - grey), strict=True):
+        pull = np.einsum("de,jex,xy->yjd", matrix, log_radiance, part).reshape(3, -1)
+        for x in range(3):
+            right[x * lights * count : (x + 1) * lights * count] -= pull[x]
+            for y in range(3):
+                for j in range(lights):
+                    row, column = (x * lights + j) * count, (y * lights + j) * count
+                    system[row : row + count, column : column + count] += part[x, y] * matrix
+    photos = np.arange(3 * lights * count, len(right) - 1)
+    away = exposure - expected.mean
+    system[photos, photos] += 1.0 / expected.deviation**2
+    right[photos] -= (away - away.mean()) / expected.deviation**2
+    system[-1, -1] += 1.0 / UNSURE_LEVEL**2

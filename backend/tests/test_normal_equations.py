@@ -1,0 +1,152 @@
+"""A Gauss-Newton step against the same one made the long way: all unknowns, albedo too, in dense float64 matrices."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from dante_w.traced.normal_equations import (
+    LONGEST_STEP,
+    TRUST,
+    UNSURE_LEVEL,
+    Equations,
+    ExposurePrior,
+    prior_precision,
+    step,
+)
+from dante_w.traced.transfer import sphere
+
+POINTS, PHOTOS, LIGHTS, DIRECTIONS = 14, 6, 2, 12
+LIGHT = np.array([0, 1, 0, 1, 1, 0])
+
+
+def problem(seed: int = 0) -> tuple[Equations, np.ndarray, ExposurePrior]:
+    """Equations with a bit of everything, log exposures, and what is expected of these."""
+    random = np.random.default_rng(seed)
+    photo, point = np.nonzero(random.random((PHOTOS, POINTS)) < 0.8)
+    shape = (len(point), 3)
+    direct = random.uniform(0.0, 0.4, (POINTS, DIRECTIONS)).astype(np.float32)
+    radiance = np.exp(random.normal(0.0, 0.5, (LIGHTS, DIRECTIONS, 3))).astype(np.float32)
+    bounce = random.uniform(0.0, 0.5, (POINTS, LIGHTS, 3))
+    equations = Equations(
+        point=point,
+        photo=photo,
+        weight=random.uniform(0.0, 1.0, shape).astype(np.float32),
+        residual=random.normal(0.0, 0.1, shape).astype(np.float32),
+        direct=direct,
+        irradiance=(np.tensordot(direct, radiance, axes=(1, 1)) + bounce).astype(np.float32),
+        radiance=radiance,
+        light=LIGHT,
+        level=random.normal(0.0, 0.3, shape).astype(np.float32),
+        known=random.uniform(0.0, 1.0, (POINTS, 3)) * (random.random((POINTS, 1)) < 0.5),
+        known_residual=random.normal(0.0, 0.2, (POINTS, 3)),
+    )
+    return equations, random.normal(0.0, 0.3, PHOTOS), ExposurePrior(random.normal(0.0, 0.3, PHOTOS), 0.2)
+
+
+def the_long_way(
+    of: Equations, exposure: np.ndarray, expected: ExposurePrior
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """The undamped step, from the derivatives that autograd finds of what each observation is predicted to be."""
+    sizes = (LIGHTS * DIRECTIONS * 3, PHOTOS, 1, POINTS * 3)
+    direct, radiance, irradiance, level = (
+        torch.from_numpy(np.asarray(array, np.float64))
+        for array in (of.direct, of.radiance, of.irradiance, of.level)
+    )
+    bounce = irradiance - torch.einsum("cd,jdx->cjx", direct, radiance)
+
+    def predicted(unknowns: torch.Tensor) -> torch.Tensor:
+        log_light, log_exposure, of_level, log_albedo = torch.split(unknowns, sizes)
+        changed = radiance * log_light.reshape(LIGHTS, DIRECTIONS, 3).exp()
+        shade = (torch.einsum("cd,jdx->cjx", direct, changed) + bounce) / irradiance
+        albedo = log_albedo.reshape(POINTS, 3)
+        seen = albedo[of.point] + shade[of.point, of.light[of.photo]].log()
+        seen = seen + log_exposure[of.photo, None] + of_level * level
+        return torch.cat([seen.reshape(-1), albedo.reshape(-1)])
+
+    slopes = torch.autograd.functional.jacobian(
+        predicted, torch.zeros(sum(sizes), dtype=torch.float64)
+    ).numpy()
+    weight = TRUST * np.concatenate([of.weight.ravel(), of.known.ravel()]).astype(np.float64)
+    residual = np.concatenate([of.residual.ravel(), of.known_residual.ravel()])
+    matrix = slopes.T @ (weight[:, None] * slopes)
+    right = slopes.T @ (weight * residual)
+
+    brightness, colour = prior_precision(sphere(DIRECTIONS).astype(np.float32))
+    grey = np.full((3, 3), 1.0 / 3.0)
+    pull = np.kron(brightness, grey) + np.kron(
+        colour, np.eye(3) - grey
+    )  # unknowns by direction, then channel
+    pull = np.kron(np.eye(LIGHTS), pull)
+    light, photos = slice(0, sizes[0]), slice(sizes[0], sizes[0] + PHOTOS)
+    matrix[light, light] += pull
+    right[light] -= pull @ np.log(of.radiance.astype(np.float64)).ravel()
+    away = exposure - expected.mean
+    matrix[photos, photos] += np.eye(PHOTOS) / expected.deviation**2
+    right[photos] -= (away - away.mean()) / expected.deviation**2
+    matrix[sizes[0] + PHOTOS, sizes[0] + PHOTOS] += UNSURE_LEVEL**-2
+    change = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
+    level = change[sizes[0] + PHOTOS]
+    return change[light].reshape(LIGHTS, DIRECTIONS, 3), change[photos], level
+
+
+def taken(of: Equations, exposure: np.ndarray, expected: ExposurePrior, damping: float = 0.0):
+    return step(of, exposure, expected, prior_precision(sphere(DIRECTIONS).astype(np.float32)), damping)
+
+
+def agree(found, wanted) -> None:
+    for ours, theirs in zip(found, wanted, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=2e-3, atol=2e-4 * np.abs(theirs).max() + 1e-7)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_step_is_the_one_of_all_unknowns_together(seed):
+    of, exposure, expected = problem(seed)
+    # near the prior's mean, or the longest step cuts it short
+    of = dataclasses.replace(of, radiance=of.radiance**0.2, irradiance=of.irradiance * 2.0)
+    wanted = the_long_way(of, exposure, expected)
+    assert np.abs(wanted[0]).max() < LONGEST_STEP
+    agree(taken(of, exposure, expected), wanted)
+
+
+@pytest.mark.parametrize("without", ["known", "level", "weight of a photo", "a photo"])
+def test_parts_may_be_missing(without):
+    of, exposure, expected = problem(3)
+    of = dataclasses.replace(of, radiance=of.radiance**0.2, irradiance=of.irradiance * 2.0)
+    if without in ("known", "level"):
+        of = dataclasses.replace(of, **{without: 0.0 * getattr(of, without)})
+    elif without == "weight of a photo":
+        of = dataclasses.replace(of, weight=np.where(of.photo[:, None] == 2, np.float32(0.0), of.weight))
+    else:
+        rows = of.photo != 2
+        columns = {
+            name: getattr(of, name)[rows] for name in ("point", "photo", "weight", "residual", "level")
+        }
+        of = dataclasses.replace(of, **columns)
+    wanted = the_long_way(of, exposure, expected)
+    agree(taken(of, exposure, expected), wanted)
+    if without == "weight of a photo":
+        away = exposure - expected.mean
+        assert wanted[1][2] == pytest.approx(-(away - away.mean())[2], rel=1e-6)
+
+
+def test_damping_shortens_and_no_step_is_long():
+    of, exposure, expected = problem(0)
+    near = dataclasses.replace(of, radiance=of.radiance**0.2, irradiance=of.irradiance * 2.0)
+    lengths = [np.linalg.norm(taken(near, exposure, expected, damping)[0]) for damping in (0.0, 1.0, 100.0)]
+    assert lengths[0] > lengths[1] > 1.2 * lengths[2] > 0.0
+    far = dataclasses.replace(near, residual=40.0 * of.residual)
+    assert np.abs(taken(far, exposure, expected)[0]).max() == pytest.approx(LONGEST_STEP)
+
+
+def test_the_prior_is_rough_in_brightness_and_smooth_in_colour():
+    directions = sphere(64)
+    brightness, colour = prior_precision(directions)
+    flat, slope = np.ones(64), directions[:, 2]
+    for log_light in (flat, slope):
+        assert log_light @ colour @ log_light > 10.0 * (log_light @ brightness @ log_light) > 0.0
+    for precision in (brightness, colour):
+        np.testing.assert_allclose(precision, precision.T, rtol=1e-6, atol=1e-6)
+        assert np.linalg.eigvalsh(precision).min() > 0.0

@@ -1,0 +1,84 @@
+"""The plan: what held-out photos ask for is modelled, and nothing else; what the user says stands."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from dante_w.traced.lights import Parts
+from dante_w.traced.parts import BOUNCED, Decision, choose_parts
+from open_world import PHOTOS, POINTS, World, make_world
+
+
+@pytest.fixture(autouse=True)
+def few_directions(monkeypatch):
+    for module in ("lights", "parts"):
+        monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 32)
+
+
+def planned(world: World, **fixed: bool) -> tuple[Parts, dict[str, Decision]]:
+    said: list[float] = []
+    parts, decisions = choose_parts(
+        world.cameras,
+        world.points,
+        world.seen,
+        world.transfer,
+        None,
+        fixed,
+        0,
+        lambda done, total: said.append(done / total),
+    )
+    assert said == sorted(said) and said[-1] == 1.0
+    assert [decision.what for decision in decisions] == list(vars(Parts()))
+    assert all(decision.choice and decision.reason and decision.costs for decision in decisions)
+    return parts, {decision.what: decision for decision in decisions}
+
+
+@pytest.mark.parametrize(("lights", "exposures"), [(1, 0.0), (1, 0.35), (3, 0.0), (3, 0.35)])
+def test_what_photos_differ_in_is_modelled(lights, exposures):
+    parts, said = planned(make_world(lights, exposures, matte=True), gloss=False)
+    assert (parts.groups, parts.exposures) == (lights > 1, exposures > 0.0)
+    assert said["groups"].choice == ("several lights" if lights > 1 else "one light")
+    assert said["exposures"].choice == ("one for each photo" if exposures else "one for all photos")
+    for part in ("groups", "exposures"):
+        assert "dB" in said[part].reason and "nan" not in said[part].reason
+    assert not parts.bounce and said["bounce"].reason.startswith("0%")
+
+
+def test_what_the_user_says_stands():
+    one, many = make_world(1, 0.0), make_world(3, 0.35)
+    parts, said = planned(one, groups=True, exposures=True, bounce=True)
+    assert parts == Parts()
+    parts, _ = planned(many, groups=False, gloss=False)
+    assert parts == Parts(groups=False, exposures=True, bounce=False, gloss=False)
+    assert {name for name, each in said.items() if each.reason == "you chose it"} == {
+        "groups",
+        "exposures",
+        "bounce",
+    }
+
+
+@pytest.mark.parametrize("share", [0.5 * BOUNCED, 2.0 * BOUNCED])
+def test_light_from_the_mesh_counts_from_a_share_on(share):
+    world = make_world(1, 0.0)
+    lost = np.full(POINTS, share, np.float32)
+    world = dataclasses.replace(world, transfer=dataclasses.replace(world.transfer, lost=lost))
+    assert planned(world, groups=False, exposures=False)[0].bounce == (share > BOUNCED)
+
+
+def test_too_few_photos_to_try_anything():
+    world = make_world()
+    few = dataclasses.replace(world, cameras=world.cameras[:4], seen=world.seen.of(world.seen.photo < 4))
+    parts, said = planned(few)
+    assert parts.groups and parts.exposures
+    assert said["groups"].reason == said["exposures"].reason == "no held-out photo tells"
+
+
+def test_held_out_photos_that_show_nothing():
+    """The ones that are held out of 18 photos are all clipped."""
+    world = make_world()
+    clipped = np.isin(world.seen.photo, [4, 13])
+    parts, said = planned(dataclasses.replace(world, seen=dataclasses.replace(world.seen, clipped=clipped)))
+    assert PHOTOS == 18 and parts.groups and parts.exposures
+    assert said["groups"].reason == "no held-out photo tells"

@@ -1,0 +1,85 @@
+"""Photos that lights were not solved from: placed under the light that is theirs, and scored."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from dante_w.traced.held_out import place
+from dante_w.traced.lights import Lights, Parts, solve_lights
+from open_world import LIGHTS, PHOTOS, POINTS, World, make_world
+
+HELD_OUT = np.array([4, 11])
+PARTS = Parts(bounce=False)
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return make_world()
+
+
+@pytest.fixture(scope="module")
+def lights(world: World) -> Lights:
+    """Solved without the held-out photos, which are as if under light 0."""
+    seen = world.seen.of(~np.isin(world.seen.photo, HELD_OUT))
+    light = world.light.copy()
+    light[HELD_OUT] = 0
+    return solve_lights(
+        world.points, world.transfer, seen, world.cameras, light, 0, lambda *_: None, PARTS, settled=True
+    )
+
+
+def placed(world: World, lights: Lights, parts: Parts = PARTS, **changed) -> tuple[Lights, float | None]:
+    seen = dataclasses.replace(world.seen, **changed)
+    return place(lights, world.points, world.transfer, seen, world.cameras, HELD_OUT, parts)
+
+
+def test_they_get_their_light_and_exposure(world, lights):
+    found, score = placed(world, lights)
+    assert found.light[HELD_OUT].tolist() == world.light[HELD_OUT].tolist() == [1, 2]
+    off = found.log_exposure - world.exposure
+    for photo in HELD_OUT:
+        mine = (world.light == world.light[photo]) & ~np.isin(np.arange(PHOTOS), HELD_OUT)
+        assert off[photo] == pytest.approx(off[mine].mean(), abs=0.03)
+    others = ~np.isin(np.arange(PHOTOS), HELD_OUT)
+    assert (found.light[others] == lights.light[others]).all()
+    assert (found.log_exposure[others] == lights.log_exposure[others]).all()
+    # colours carry noise of 3%: in sRGB some 35 dB
+    assert score is not None and 30.0 < score < 45.0
+
+
+def test_the_score_is_of_what_was_not_fitted(world, lights):
+    """Rows of cells take turns: what the others show can be spoilt without the placing taking note."""
+    cell = np.flatnonzero(world.points.point_of_cell >= 0)
+    scored = (cell // 256 // 8 % 2 == 1)[world.seen.point]
+    spoilt, low = placed(world, lights, colour=np.where(scored[:, None], np.float32(0.9), world.seen.colour))
+    clean, high = placed(world, lights)
+    np.testing.assert_array_equal(spoilt.log_exposure, clean.log_exposure)
+    assert low is not None and high is not None and low < high - 10.0
+
+
+def test_a_wrong_albedo_costs(world, lights):
+    wrong = dataclasses.replace(lights, albedo=lights.albedo[np.random.default_rng(0).permutation(POINTS)])
+    good, bad = (placed(world, each)[1] for each in (lights, wrong))
+    assert good is not None and bad is not None and bad < good - 10.0
+
+
+def test_exposures_that_are_one_for_all_are_not_fitted(world, lights):
+    found, score = placed(world, lights, dataclasses.replace(PARTS, exposures=False))
+    np.testing.assert_allclose(found.log_exposure[HELD_OUT], np.median(lights.log_exposure))
+    fitted = placed(world, lights)[1]
+    assert score is not None and fitted is not None and score < fitted - 3.0
+
+
+def test_without_gloss_matte_photos_are_explained_worse(world, lights):
+    score = placed(world, lights, dataclasses.replace(PARTS, gloss=False))[1]
+    fitted = placed(world, lights)[1]
+    assert score is not None and fitted is not None and score < fitted - 0.5
+
+
+def test_nothing_to_score(world, lights):
+    for changed in ({"clipped": np.ones(len(world.seen.point), bool)}, {"photo": 0 * world.seen.photo}):
+        found, score = placed(world, lights, **changed)
+        assert score is None
+        assert found.light[HELD_OUT].tolist() == [0, 0] and len(found.radiance) == LIGHTS

@@ -1,0 +1,32 @@
+"""The rows of the table: which model makes which, and that no two share a file."""
+
+from __future__ import annotations
+
+import gigalit
+from dante_w import cli
+from methods.rows import NO_PRIOR, methods
+
+ROWS = list(methods(["draft", "standard"], [NO_PRIOR, "RGB-X"]))
+
+
+def test_papers_rows_are_the_papers_model_and_traced_light_is_the_default():
+    for row in ROWS:
+        if row.tool != "dante-w" or row.arguments[0] != "recover":
+            continue
+        given = cli._parser().parse_args([row.arguments[0], "scene", "--out", "out", *row.arguments[1:]])
+        assert given.irradiance == (None if "traced" in row.name else "field"), row.name
+        assert not (given.no_photometric or given.equal_bands) or "traced" not in row.name
+        assert given.preset == ("draft" if row.name.endswith("draft") else "standard")
+
+
+def test_traced_light_has_a_row_with_every_prior():
+    for prior in (NO_PRIOR, "RGB-X"):
+        assert [row.name for row in ROWS if "traced" in row.name and row.prior == prior] == [
+            "ours, traced light",
+            "ours, traced light, draft",
+        ]
+
+
+def test_no_two_rows_share_a_file_and_what_is_shown_exists():
+    assert len({row.slug for row in ROWS}) == len(ROWS)
+    assert set(gigalit.SHOWN) <= {row.name for row in ROWS}

@@ -1,0 +1,67 @@
+"""The speed benchmark times what it says, on equal terms, and says so in one JSON object."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+
+import numpy as np
+import pytest
+import speed
+import torch
+from dante_w.model import presets
+from dante_w.model.fields import Model, ModelSpec
+from dante_w.model.fused import FusedStep
+from dante_w.model.hash_encoding import GridSpec
+from dante_w.model.optimise import TorchStep
+
+SPEC = ModelSpec(GridSpec(2, 3, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 10), hidden=8, embedding=2)
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    preset = presets.Preset(64, SPEC, presets.Schedule(10, 300), presets.Schedule(2, 300))
+    monkeypatch.setitem(presets.PRESETS, "standard", preset)
+
+
+def test_the_last_line_has_every_figure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["speed", "--rounds", "2", "--json"])
+    speed.main()
+    out = capsys.readouterr().out
+    found = json.loads(out.splitlines()[-1])
+    rates = found["samples_per_second"]
+    assert found["full_step_ratio"] == pytest.approx(rates[speed.NUMBA] / rates[speed.TORCH])
+    assert found["batch"] == 300
+    for path in (speed.TORCH, speed.NUMBA):
+        assert tuple(found["profile_seconds"][path]) == speed.STAGES
+        for stage, seconds in found["profile_seconds"][path].items():
+            assert found["stage_samples_per_second"][path][stage] == pytest.approx(300 / seconds)
+    assert all(f"| {stage} |" in out for stage in speed.STAGES)
+
+
+def test_both_paths_compute_the_same_step() -> None:
+    torch.manual_seed(0)
+    model, samples = Model(SPEC, speed.PHOTOS), speed.batch_of(300)
+    parameters = list(model.parameters())
+    ways = (way(model, speed.TERMS, parameters, 1e-3) for way in (TorchStep, FusedStep))
+    (slow_loss, slow), (fast_loss, fast) = (way.gradients(samples) for way in ways)
+    assert float(slow_loss) == pytest.approx(fast_loss, rel=1e-5)
+    assert slow.keys() == fast.keys()
+    for name, gradient in slow.items():
+        np.testing.assert_allclose(fast[name], gradient.numpy(), atol=1e-3 * float(gradient.abs().max()))
+
+
+def test_works_take_turns_and_the_median_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, now = [], [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    lengths = {"a": iter([99.0, 1.0, 5.0, 2.0]), "b": iter([99.0, 7.0, 7.0, 8.0])}
+
+    def work(name: str) -> None:
+        calls.append(name)
+        now[0] += next(lengths[name])
+
+    assert speed.measure({name: lambda name=name: work(name) for name in "ab"}, 3) == {"a": 2.0, "b": 7.0}
+    assert calls == ["a", "b"] * 4
