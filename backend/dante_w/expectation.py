@@ -30,7 +30,7 @@ class Quality:
 #: Without priors, on four objects: `python3 dev.py bench gigalit DIR`. None: not measured.
 QUALITY: dict[str, Quality | None] = {
     "draft": None,
-    "standard": Quality(24.3, 20.4, 27.7),
+    "standard": Quality(24.3, 20.8, 27.1),
     "high": None,
     "paper": None,
 }

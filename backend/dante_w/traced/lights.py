@@ -204,7 +204,7 @@ def _refine(
             change, shift, level = step(equations, lights.log_exposure, evidence.expected, precision, damping)
             radiance = np.exp(np.log(lights.radiance) + change).astype(np.float32)
             lights = replace(lights, radiance=radiance, log_exposure=lights.log_exposure + shift)
-            if done == LEVEL_STEP:
+            if done == LEVEL_STEP and len(lights.radiance) > 1:  # one light alone leaves it open
                 lights = replace(lights, top=float(np.clip(TOP * np.exp(LEVEL_TRUST * level), *BOUNDS)))
         progress(done + 1)
     if evidence.parts.gloss:
