@@ -17,7 +17,7 @@ from dante_w.rays.ray_cache import RayCache
 WHITE_LIGHT, SMALL_OFFSET = 0.05, 0.2
 
 #: The part of the samples whose footprint may be finer than the albedo's finest level; how many are looked at. On the four
-#: objects of the README this costs nothing (0.0 dB on average) and saves a quarter of the fit's time.
+#: objects of the README, with one seed, this costs nothing on average and saves a quarter of the fit's time.
 SHARPEST, LOOKED_AT = 0.25, 1 << 17
 #: Albedo is at least this much finer than irradiance.
 LEAST_GAP = 4
