@@ -74,7 +74,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar=("U", "V", "COLOUR"),
         help="albedo at a texture coordinate: grey, or sRGB like #7A7A79 (repeatable)",
     )
-    recover.add_argument("--device", choices=("auto", "cpu", "cuda", "mps"), default="auto")
+    recover.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda", "mps"),
+        default="auto",
+        help="of the paper's field; traced light runs on the CPU",
+    )
     recover.add_argument("--keep-held-out", action="store_true", help="never fit to the held-out photos")
     ablations = recover.add_argument_group("ablations of the paper")
     ablations.add_argument("--no-photometric", action="store_true", help="lift the priors only (w/o PR)")

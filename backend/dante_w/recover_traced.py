@@ -88,6 +88,7 @@ def _plan(
         of.seen,
         of.transfer,
         of.exposures,
+        of.groups,
         fixed,
         options.seed,
         lambda done, trials: progress.update("plan", done, trials),

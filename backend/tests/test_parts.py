@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from dante_w.traced.groups import first_groups
 from dante_w.traced.lights import Parts
 from dante_w.traced.parts import BOUNCED, Decision, choose_parts
 from open_world import PHOTOS, POINTS, World, make_world
@@ -25,6 +26,7 @@ def planned(world: World, **fixed: bool) -> tuple[Parts, dict[str, Decision]]:
         world.seen,
         world.transfer,
         None,
+        first_groups(world.seen, len(world.points), len(world.cameras)),
         fixed,
         0,
         lambda done, total: said.append(done / total),

@@ -25,9 +25,7 @@ def lights(world: World) -> Lights:
     seen = world.seen.of(~np.isin(world.seen.photo, HELD_OUT))
     light = world.light.copy()
     light[HELD_OUT] = 0
-    return solve_lights(
-        world.points, world.transfer, seen, world.cameras, light, 0, lambda *_: None, PARTS, settled=True
-    )
+    return solve_lights(world.points, world.transfer, seen, world.cameras, light, 0, lambda *_: None, PARTS)
 
 
 def placed(world: World, lights: Lights, parts: Parts = PARTS, **changed) -> tuple[Lights, float | None]:

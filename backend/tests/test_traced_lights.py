@@ -160,11 +160,6 @@ def test_without_the_last_steps_light_comes_from_few_directions(world, quick):
     assert albedo_error(world, coarse) < 0.1
 
 
-def test_a_guess_that_is_settled_stays(world, quick):
-    found = solved(world, settled=True, fine=False)
-    assert len(found.radiance) == 2 * LIGHTS and found.light[0] == 1
-
-
 def test_parts_that_are_off_are_not_modelled(world, quick):
     found = solved(world, parts=Parts(groups=False, exposures=False, bounce=False), fine=False)
     assert (found.light == 0).all() and len(found.radiance) == 1

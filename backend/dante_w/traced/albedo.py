@@ -91,8 +91,7 @@ def _sheen(
     seen: Observations, points: ShadingPoints, transfer: Transfer, lights: Lights, cameras: np.ndarray
 ) -> np.ndarray:
     """(M, 3) what the observations owe to gloss, before exposure."""
-    towards = cameras[seen.photo] - points.position[seen.point]
-    towards = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
+    towards = points.towards(seen.point, cameras[seen.photo])
     light = lights.light[seen.photo]
     return sheen(
         seen.point, light, towards, points.normal, transfer.directions, transfer.visible, lights.radiance

@@ -72,8 +72,7 @@ def _shown(
     count, number = len(rows.point), len(lights.radiance)
     shown = (lights.albedo[:, None] * lights.irradiance(transfer))[rows.point]
     if parts.gloss:
-        towards = camera - points.position[rows.point]
-        towards = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
+        towards = points.towards(rows.point, camera)
         each = np.repeat(np.arange(number), count)
         gloss = sheen(
             np.tile(rows.point, number),

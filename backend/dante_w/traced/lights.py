@@ -95,7 +95,6 @@ class _Evidence:
     prior: KnownAlbedo
     expected: ExposurePrior
     parts: Parts
-    settled: bool
 
 
 def solve_lights(
@@ -110,7 +109,6 @@ def solve_lights(
     prior: KnownAlbedo | None = None,
     known_exposure: np.ndarray | None = None,
     fine: bool = True,
-    settled: bool = False,
 ) -> Lights:
     """Find the lights that explain the photos.
 
@@ -120,13 +118,11 @@ def solve_lights(
         prior: what is known of the albedo, if anything.
         known_exposure: (K,) log exposures from the photos' files.
         fine: whether to take the last steps; without them, lights have `COARSE` directions.
-        settled: whether `light` is more than a guess, and stays.
 
     Raises:
         BadInput: too few photos see the same points.
     """
-    towards = cameras[seen.photo] - points.position[seen.point]
-    towards = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
+    towards = points.towards(seen.point, cameras[seen.photo])
     weight = _weights(seen)
     enough = np.bincount(seen.point, (weight > 0.0).all(axis=1), len(points)) >= FEWEST_PHOTOS
     known = enough & (transfer.direct.sum(axis=1) > 0.02)
@@ -145,7 +141,7 @@ def solve_lights(
     else:
         expected = ExposurePrior(np.zeros(len(light)), FREE_EXPOSURE)
     exposure = measured if expected.deviation == FREE_EXPOSURE else expected.mean.astype(np.float64)
-    evidence = _Evidence(points, seen, towards, weight, prior, expected, parts, settled or not parts.groups)
+    evidence = _Evidence(points, seen, towards, weight, prior, expected, parts)
     light = light if parts.groups else np.zeros_like(light)
 
     few, part_of = coarser(transfer, COARSE)
@@ -184,7 +180,7 @@ def _refine(
             leaving = np.minimum(lights.albedo, 0.95)[:, None, :] * irradiance
             arriving = bounced(transfer, leaving.reshape(len(leaving), -1)).reshape(leaving.shape)
             lights = replace(lights, bounce=arriving)
-        if done in REGROUP and not evidence.settled:
+        if done in REGROUP and evidence.parts.groups:
             light, kept = regroup(
                 told.over_light + np.log(irradiance)[evidence.seen.point, lights.light[evidence.seen.photo]],
                 np.log(irradiance),

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dante_w.model.held_out import choose_held_out
-from dante_w.traced.groups import first_groups
 from dante_w.traced.held_out import place
 from dante_w.traced.lights import COARSE, Parts, solve_lights
 from dante_w.traced.shading_points import Observations, ShadingPoints
@@ -45,6 +44,7 @@ def choose_parts(
     seen: Observations,
     transfer: Transfer,
     exposures: np.ndarray | None,
+    groups: np.ndarray,
     fixed: Mapping[str, bool],
     seed: int,
     progress: Callable[[int, int], None],
@@ -53,6 +53,7 @@ def choose_parts(
 
     Args:
         exposures: (K,) log exposures from the photos' files, if they tell.
+        groups: (K,) a first guess of which photos share a light.
         fixed: what the user has decided, by the name of the part.
     """
     few, _ = coarser(transfer, COARSE)
@@ -60,14 +61,13 @@ def choose_parts(
     photos = len(cameras)
     held_out = choose_held_out(photos)
     shown = fewer.of(~np.isin(fewer.photo, held_out))
-    guess = first_groups(seen, len(points), photos)
     bounced = float(transfer.weight.sum() + transfer.lost.sum()) / len(points)
     parts = replace(Parts(bounce=bounced >= BOUNCED), **fixed)
     trials = [name for name in ("groups", "exposures") if name not in fixed and len(held_out)]
 
     def score(trial: Parts) -> float:
         lights = solve_lights(
-            points, transfer, shown, cameras, guess, seed, _ignore, trial, None, exposures, fine=False
+            points, transfer, shown, cameras, groups, seed, _ignore, trial, None, exposures, fine=False
         )
         found = place(lights, points, few, fewer, cameras, held_out, trial)[1]
         return -np.inf if found is None else found

@@ -34,6 +34,11 @@ class ShadingPoints:
         """(N,) int32: the point in whose cell each of the texture coordinates (N, 2) lies, or -1."""
         return self.point_of_cell[cells(uv)]
 
+    def towards(self, point: np.ndarray, camera: np.ndarray) -> np.ndarray:
+        """(N, 3) float32 unit vectors from points (N,) to camera centres (N, 3), or to one (3,)."""
+        away = camera - self.position[point]
+        return np.asarray(away / np.linalg.norm(away, axis=1, keepdims=True), np.float32)
+
 
 @dataclass(frozen=True)
 class Observations:

@@ -25,7 +25,8 @@ from dante_w.traced.transfer import Transfer, trace_transfer
 
 @dataclass(frozen=True)
 class Traced:
-    """What the photos show of the mesh's shading points, and how light reaches these."""
+    """What the photos show of the mesh's shading points, and how light reaches these; `groups` (K,) is the first guess of
+    which photos share a light."""
 
     cameras: np.ndarray
     points: ShadingPoints
@@ -33,6 +34,7 @@ class Traced:
     transfer: Transfer
     prior: KnownAlbedo | None
     exposures: np.ndarray | None
+    groups: np.ndarray
 
 
 def examine(
@@ -52,7 +54,8 @@ def examine(
     )
     prior = known_albedo(cache, points, prior_weight) if prior_weight > 0.0 else None
     exposures = log_exposures([frame.image for frame in frames])
-    return Traced(cameras, points, seen, transfer, prior, exposures)
+    groups = first_groups(seen, len(points), len(frames))
+    return Traced(cameras, points, seen, transfer, prior, exposures, groups)
 
 
 def recover_albedo(
@@ -77,7 +80,7 @@ def recover_albedo(
         of.transfer,
         of.seen.of(~np.isin(of.seen.photo, held_out)),
         of.cameras,
-        first_groups(of.seen, len(of.points), photos),
+        of.groups,
         seed,
         lambda step, steps: progress.update("lights", step, steps),
         parts,
