@@ -2,7 +2,7 @@
 
 Whether photos differ in light and in exposure is tried on held-out photos, with fits that cost little: few directions,
 a quarter of the points. Bounced light follows from the mesh alone. Gloss does not: on four rendered objects held-out
-photos wanted it off for two (by 0.7 and 1.9 dB of the photos) where it was worth 2 and 4 dB of albedo, since an error of level,
+photos wanted it off for two (by 0.7 and 1.9 dB of the photos) where it is worth 2 and 3 dB of albedo after gain, since an error of level,
 which they cannot tell, hurts more with it. All surfaces reflect at a grazing angle, so it is on.
 """
 
