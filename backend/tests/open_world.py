@@ -28,9 +28,16 @@ def unit(rows: np.ndarray) -> np.ndarray:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def make_world(lights: int = LIGHTS, exposures: float = 0.35, matte: bool = False, top: float = TOP) -> World:
+def make_world(
+    lights: int = LIGHTS,
+    exposures: float = 0.35,
+    matte: bool = False,
+    top: float = TOP,
+    materials: int = POINTS,
+) -> World:
     """Open points of all orientations under up to three smooth lights; nothing hides or lights anything else. Log
-    exposures have a standard deviation of `exposures`, the brightest albedo is `top`; `matte` points have no sheen."""
+    exposures have a standard deviation of `exposures`, the brightest albedo is `top`; `matte` points have no sheen; points are
+    of as many `materials`, in slabs, or each of its own."""
     of_photo = np.arange(PHOTOS) % lights
     random = np.random.default_rng(6)
     normals = unit(random.normal(size=(POINTS, 3))).astype(np.float32)
@@ -53,6 +60,8 @@ def make_world(lights: int = LIGHTS, exposures: float = 0.35, matte: bool = Fals
     bright = 1.1 * directions @ axes.T + 0.5 * (directions @ axes.T) ** 2
     radiance = np.exp(bright.T[:, :, None] + tint[:, None, :]).astype(np.float32)
     albedo = random.uniform(0.1, 0.8, (POINTS, 3))
+    if materials < POINTS:
+        albedo = albedo[((position[:, 0] - 0.3) / 0.4 * materials).astype(int)]
     albedo *= top / np.quantile(albedo.max(axis=1), BRIGHTEST)
     exposure = random.normal(0.0, exposures, PHOTOS)
     cameras = 0.5 + 2.0 * sphere(PHOTOS)

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from dante_w.traced.evenness import laplacian
 from dante_w.traced.normal_equations import (
     LONGEST_STEP,
     TRUST,
@@ -42,6 +43,8 @@ def problem(seed: int = 0) -> tuple[Equations, np.ndarray, ExposurePrior]:
         level=random.normal(0.0, 0.3, shape).astype(np.float32),
         known=random.uniform(0.0, 1.0, (POINTS, 3)) * (random.random((POINTS, 1)) < 0.5),
         known_residual=random.normal(0.0, 0.2, (POINTS, 3)),
+        log_albedo=(log_albedo := random.normal(-1.0, 0.3, (POINTS, 3)).astype(np.float32)),
+        even=laplacian(random.normal(0.0, 1.0, (POINTS, 3)), log_albedo, random),
     )
     return equations, random.normal(0.0, 0.3, PHOTOS), ExposurePrior(random.normal(0.0, 0.3, PHOTOS), 0.2)
 
@@ -70,9 +73,27 @@ def the_long_way(
         predicted, torch.zeros(sum(sizes), dtype=torch.float64)
     ).numpy()
     weight = TRUST * np.concatenate([of.weight.ravel(), of.known.ravel()]).astype(np.float64)
+    at_rest = torch.zeros(sizes[0], dtype=torch.float64)
+
+    def eliminated(log_light: torch.Tensor) -> torch.Tensor:
+        changed = radiance * log_light.reshape(LIGHTS, DIRECTIONS, 3).exp()
+        shade = (torch.einsum("cd,jdx->cjx", direct, changed) + bounce) / irradiance
+        left = torch.from_numpy(of.residual) - shade[of.point, of.light[of.photo]].log()
+        trust = torch.from_numpy(of.weight).double()
+        known = torch.from_numpy(of.known)
+        told = (known * torch.from_numpy(of.known_residual)).index_add(
+            0, torch.from_numpy(of.point), trust * left
+        )
+        best = told / known.index_add(0, torch.from_numpy(of.point), trust).add(1e-9)
+        return (torch.from_numpy(of.log_albedo) + best).T.reshape(-1)
+
     residual = np.concatenate([of.residual.ravel(), of.known_residual.ravel()])
     matrix = slopes.T @ (weight[:, None] * slopes)
     right = slopes.T @ (weight * residual)
+    even = TRUST * np.kron(np.eye(3), of.even.to_dense().numpy())
+    falls = torch.autograd.functional.jacobian(eliminated, at_rest).numpy()
+    matrix[: sizes[0], : sizes[0]] += falls.T @ even @ falls
+    right[: sizes[0]] -= falls.T @ even @ eliminated(at_rest).numpy()
 
     brightness, colour = prior_precision(sphere(DIRECTIONS).astype(np.float32))
     grey = np.full((3, 3), 1.0 / 3.0)

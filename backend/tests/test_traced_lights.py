@@ -143,9 +143,15 @@ def test_same_seed_same_arrays(world, monkeypatch):
     assert not np.array_equal(first.radiance, other.radiance)
 
 
-def test_too_few_photos_are_bad_input(world):
+def test_two_photos_are_divided_by_what_light_is_taken_for(world):
+    found = solved(world, world.seen.of(world.seen.photo < FEWEST_PHOTOS - 1))
+    assert found.known.any() and np.isfinite(found.radiance).all() and np.isfinite(found.albedo).all()
+
+
+def test_photos_that_are_all_clipped_are_bad_input(world):
+    clipped = dataclasses.replace(world.seen, clipped=np.ones(len(world.seen.point), bool))
     with pytest.raises(BadInput, match="photos"):
-        solved(world, world.seen.of(world.seen.photo < FEWEST_PHOTOS - 1))
+        solved(world, clipped)
 
 
 @pytest.fixture

@@ -16,8 +16,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from dante_w.errors import BadInput
+from dante_w.traced.evenness import laplacian
 from dante_w.traced.gloss import sheen
 from dante_w.traced.groups import regroup
 from dante_w.traced.normal_equations import Equations, ExposurePrior, prior_precision, step
@@ -34,7 +36,9 @@ FREE_EXPOSURE, KNOWN_EXPOSURE = 1.0, 0.1
 RELATIVE, ABSOLUTE, OUTLIER = 0.04, 0.004, 0.15
 #: Points that Gauss-Newton steps look at.
 POINTS = 2500
-FEWEST_PHOTOS = 3  # that must see a point
+FEWEST_PHOTOS = (
+    3  # that must see a point, or as many as see one at most: then light stays what it is taken for at first
+)
 FAINTEST = 1e-5
 #: What is shown is taken to be diffuse by this share at least.
 LEAST_DIFFUSE = 0.05
@@ -124,20 +128,21 @@ def solve_lights(
     """
     towards = points.towards(seen.point, cameras[seen.photo])
     weight = _weights(seen)
-    enough = np.bincount(seen.point, (weight > 0.0).all(axis=1), len(points)) >= FEWEST_PHOTOS
+    views = np.bincount(seen.point, (weight > 0.0).all(axis=1), len(points))
+    enough = views >= max(min(FEWEST_PHOTOS, views.max(initial=0.0)), 1.0)
     known = enough & (transfer.direct.sum(axis=1) > 0.02)
     if not known.any():
         raise BadInput(
-            "No part of the mesh is well exposed in three photos, which traced light needs; "
+            "No part of the mesh is well exposed and in the light, which traced light needs; "
             "add photos or take --irradiance field."
         )
     count = len(points)
     prior = prior or KnownAlbedo(np.zeros((count, 3), np.float32), np.zeros(count, np.float32))
     measured = _first_exposures(seen, weight, len(light))
     if not parts.exposures:
-        expected = ExposurePrior(np.zeros(len(light)), 1e-3)
+        expected = ExposurePrior(seen.levels(len(light)), 1e-3)
     elif known_exposure is not None:
-        expected = ExposurePrior(known_exposure, KNOWN_EXPOSURE)
+        expected = ExposurePrior(known_exposure + seen.levels(len(light)), KNOWN_EXPOSURE)
     else:
         expected = ExposurePrior(np.zeros(len(light)), FREE_EXPOSURE)
     exposure = measured if expected.deviation == FREE_EXPOSURE else expected.mean.astype(np.float64)
@@ -195,7 +200,8 @@ def _refine(
             )
         else:
             chosen = np.sort(generator.permutation(np.flatnonzero(lights.known))[:POINTS])
-            equations = _equations(chosen, lights, irradiance, transfer, told, evidence)
+            even = laplacian(evidence.points.position[chosen], np.log(lights.albedo[chosen]), generator)
+            equations = _equations(chosen, lights, irradiance, transfer, told, evidence, even)
             damping = max(0.5**done, 1e-3)
             change, shift, level = step(equations, lights.log_exposure, evidence.expected, precision, damping)
             radiance = np.exp(np.log(lights.radiance) + change).astype(np.float32)
@@ -269,8 +275,9 @@ def _equations(
     transfer: Transfer,
     told: _Told,
     of: _Evidence,
+    even: torch.Tensor,
 ) -> Equations:
-    """The observations of the chosen points."""
+    """The observations of the chosen points, and how far these are to be `even`."""
     renumbered = np.full(len(of.points), -1)
     renumbered[chosen] = np.arange(len(chosen))
     rows = np.flatnonzero(renumbered[of.seen.point] >= 0)
@@ -289,6 +296,8 @@ def _equations(
         level=bounced_share - (1.0 / told.share[rows] - 1.0),
         known=known,
         known_residual=of.prior.log_albedo[chosen] - np.log(lights.albedo[chosen]),
+        log_albedo=np.log(lights.albedo[chosen]),
+        even=even,
     )
 
 

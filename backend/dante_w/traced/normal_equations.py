@@ -14,6 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numba import prange
+
+from dante_w.errors import DanteError
+from dante_w.jit import njit_parallel_fast
 
 #: Standard deviation and correlation length (radians) of log light over the sphere, brightness and colour; and of its
 #: mean colour and level.
@@ -22,6 +26,8 @@ BRIGHTNESS, COLOUR, MEAN_COLOUR, LEVEL = (2.0, 0.5), (0.15, 0.8), 0.1, 0.1
 TRUST = 0.1 / 0.15**2
 #: Standard deviation of the log of albedo's level, which a rule sets: steps allow for its being wrong.
 UNSURE_LEVEL = 0.35
+#: What the damping is multiplied with where that much of it gives no step.
+HARDER = (1e3, 1e6)
 #: No log radiance changes by more than this in a step.
 LONGEST_STEP = 1.5
 
@@ -31,7 +37,8 @@ class Equations:
     """Observations in rows sorted by photo. `point` (M,) counts from 0 to C, `photo` (M,); `weight` and `residual`
     (M, 3) as above; `direct` (C, D); `irradiance` (C, J, 3) of the lights with `radiance` (J, D, 3); `light` (K,) of
     each photo; `level` (M, 3) how the log of what is shown answers, divided by f, to the log of albedo's level: more of
-    it is bounced, less is sheen; `known` (C, 3) weight and `known_residual` (C, 3) of what a prior says of log albedo.
+    it is bounced, less is sheen; `known` (C, 3) weight and `known_residual` (C, 3) of what a prior says of log albedo;
+    `log_albedo` (C, 3) at present, and `even` (C, C) how far pairs of points are to agree in it, see `evenness`.
     """
 
     point: np.ndarray
@@ -45,6 +52,8 @@ class Equations:
     level: np.ndarray
     known: np.ndarray
     known_residual: np.ndarray
+    log_albedo: np.ndarray
+    even: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -83,13 +92,26 @@ def step(
     system = torch.from_numpy(matrix).double() * TRUST
     right *= TRUST
     _add_prior(system.numpy(), right, np.log(equations.radiance), exposure, expected, precision)
-    system.diagonal().mul_(1.0 + 0.01 * damping).add_(1e-8)
-    change = torch.cholesky_solve(torch.from_numpy(right)[:, None], torch.linalg.cholesky(system)).numpy()[
-        :, 0
-    ]
+    change = _solved(system, torch.from_numpy(right), damping)
     change *= min(1.0, LONGEST_STEP / max(float(np.abs(change[: 3 * size]).max()), 1e-9))
     radiance = change[: 3 * size].reshape(3, lights, count).transpose(1, 2, 0)
     return radiance, change[3 * size : -1], float(change[-1])
+
+
+def _solved(system: torch.Tensor, right: torch.Tensor, damping: float) -> np.ndarray:
+    """The step (N,), damped until there is one that is finite; rounding may leave a matrix that has none.
+
+    Raises:
+        DanteError: there is none.
+    """
+    diagonal = system.diagonal().clone()
+    for further in (1.0, *HARDER):
+        system.diagonal().copy_(diagonal * (1.0 + 0.01 * damping * further) + 1e-8 * further)
+        factor, failed = torch.linalg.cholesky_ex(system)
+        change = torch.cholesky_solve(right[:, None], factor).numpy()[:, 0]
+        if not failed and np.isfinite(change).all():
+            return change
+    raise DanteError("The photos' light cannot be solved for; take --irradiance field.")
 
 
 def _add_channel(matrix: np.ndarray, right: np.ndarray, of: Equations, channel: int, photos: int) -> None:
@@ -116,16 +138,25 @@ def _add_channel(matrix: np.ndarray, right: np.ndarray, of: Equations, channel: 
         matrix[block, block] += (answer[:, j] * trust[:, j, None].astype(np.float32)).T @ answer[:, j]
     right[own] = np.einsum("cjd,cj->jd", answer, by_light(w * r)).reshape(-1)
 
-    spread = np.zeros((points, photos), np.float32)
-    spread[point, photo] = w
-    cross = -(spread / np.sqrt(total)[:, None].astype(np.float32)).T @ shared
+    # the log albedo that is eliminated falls as light grows; exposures are not asked
+    falls = torch.from_numpy(shared / np.sqrt(total)[:, None].astype(np.float32))
+    uneven = of.even @ falls
+    matrix[own, own] += (falls.T @ uneven).numpy()
+    right[own] += uneven.T.numpy() @ (of.log_albedo[:, channel] + best).astype(np.float32)
+
+    # each photo sees few of the points
     ends = np.searchsorted(photo, np.arange(photos + 1))
+    cross = -_over_points(ends, point, (w / np.sqrt(total)[point]).astype(np.float32), shared)
     for k in range(photos):
         mine = slice(ends[k], ends[k + 1])
         block = slice(of.light[k] * count, (of.light[k] + 1) * count)
         cross[k, block] += w[mine].astype(np.float32) @ answer[point[mine], of.light[k]]
     matrix[exposures, own], matrix[own, exposures] = cross, cross.T
-    matrix[exposures, exposures] += np.diag(spread.sum(axis=0)) - spread.T @ (spread / total[:, None])
+    order = np.argsort(point, kind="stable")
+    first = np.searchsorted(point[order], np.arange(points + 1))
+    among = np.zeros((photos, photos))
+    _add_pairs(ends, point, w / total[point], first, photo[order], w[order], among)
+    matrix[exposures, exposures] += np.diag(np.bincount(photo, w, photos)) - among
     right[exposures] += np.bincount(photo, w * r, photos)
 
     own_level = of.level[:, channel]
@@ -136,6 +167,44 @@ def _add_channel(matrix: np.ndarray, right: np.ndarray, of: Equations, channel: 
     matrix[-1, exposures] += crossed
     matrix[-1, -1] += (w * level * own_level).sum()
     right[-1] += (w * own_level * r).sum()
+
+
+def _over_points(
+    ends: np.ndarray, point: np.ndarray, values: np.ndarray, of_points: np.ndarray
+) -> np.ndarray:
+    """(K, N) sums over each photo's observations, from `ends[k]` to `ends[k + 1]`, of `values` (M,) times what (C, N) belongs to
+    their points (M,)."""
+    out = np.zeros((len(ends) - 1, of_points.shape[1]), of_points.dtype)
+    _add_over_points(ends, point, values, of_points, out)
+    return out
+
+
+@njit_parallel_fast
+def _add_over_points(
+    ends: np.ndarray, point: np.ndarray, values: np.ndarray, of_points: np.ndarray, out: np.ndarray
+) -> None:
+    for k in prange(len(ends) - 1):
+        for m in range(ends[k], ends[k + 1]):
+            for n in range(out.shape[1]):
+                out[k, n] += values[m] * of_points[point[m], n]
+
+
+@njit_parallel_fast
+def _add_pairs(
+    ends: np.ndarray,
+    point: np.ndarray,
+    values: np.ndarray,
+    first: np.ndarray,
+    photo: np.ndarray,
+    others: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Add up (K, K) over all pairs of observations of a point `values` (M,) of the one times `others` (M,) of the other, which
+    with its `photo` (M,) is in the order of points, from `first[c]` to `first[c + 1]`."""
+    for k in prange(len(ends) - 1):
+        for m in range(ends[k], ends[k + 1]):
+            for n in range(first[point[m]], first[point[m] + 1]):
+                out[k, photo[n]] += values[m] * others[n]
 
 
 def _add_prior(

@@ -1,0 +1,53 @@
+"""Neighbours mostly share an albedo: what tells shading from paint where photos differ too little in light.
+
+Under one light every photo shows the same product of albedo and irradiance; the mesh says how irradiance may vary over the
+surface, and nothing says how albedo does but this: points that lie close together, and fewer that lie anywhere, are of one
+material unless their colours say otherwise (Land and McCann, "Lightness and Retinex Theory", 1971; the weights are those of a
+Cauchy distribution, so that an edge in albedo costs little).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+#: What evenness counts beside the observations of a point.
+WEIGHT = 10.0
+#: Nearest points that each is paired with, points anywhere, and what such a pair counts beside a near one.
+NEAR, FAR, FAR_WEIGHT = 6, 3, 0.15
+#: Difference of log albedo, in brightness and in colour, at which a pair counts half.
+BRIGHTNESS, COLOUR = 0.2, 0.05
+
+
+def laplacian(position: np.ndarray, log_albedo: np.ndarray, generator: np.random.Generator) -> torch.Tensor:
+    """(C, C) sparse float32: x @ it @ x is the weighted sum of squared differences of x over pairs.
+
+    Args:
+        position: (C, 3) of points. log_albedo: (C, 3) as they are taken for at present.
+    """
+    count = len(position)
+    near, far = min(NEAR, count - 1), min(FAR, count - 1)
+    first = np.repeat(np.arange(count), near + far)
+    anywhere = (np.arange(count)[:, None] + generator.integers(1, max(count, 2), (count, far))) % count
+    second = np.concatenate([_nearest(position, near), anywhere], axis=1).reshape(-1)
+    apart = log_albedo[first] - log_albedo[second]
+    brightness = apart.mean(axis=1)
+    colour = np.square(apart - brightness[:, None]).sum(axis=1)
+    weight = np.tile(np.r_[np.ones(near), np.full(far, FAR_WEIGHT)], count) * (WEIGHT / (NEAR + FAR))
+    weight /= 1.0 + np.square(brightness / BRIGHTNESS) + colour / COLOUR**2
+    total = np.bincount(first, weight, count) + np.bincount(second, weight, count)
+    everyone = np.arange(count)
+    rows, columns = np.r_[first, second, everyone], np.r_[second, first, everyone]
+    values = np.r_[-weight, -weight, total].astype(np.float32)
+    indices = torch.from_numpy(np.stack([rows, columns]))
+    pairs = torch.sparse_coo_tensor(indices, torch.from_numpy(values), (count, count), check_invariants=False)
+    return pairs.coalesce()
+
+
+def _nearest(position: np.ndarray, count: int) -> np.ndarray:
+    """(C, count) the nearest other points of each of C points (C, 3)."""
+    centred = position - position.mean(axis=0)
+    length = np.square(centred).sum(axis=1)
+    apart = length[:, None] + length[None, :] - 2.0 * (centred @ centred.T)
+    np.fill_diagonal(apart, np.inf)
+    return np.argpartition(apart, max(count - 1, 0), axis=1)[:, :count]

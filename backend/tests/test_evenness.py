@@ -1,0 +1,71 @@
+"""Neighbours that mostly share an albedo: the pairs' weights, and what they do where photos alone cannot decide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from dante_w.traced import evenness
+from dante_w.traced.evenness import FAR, NEAR, WEIGHT, laplacian
+from dante_w.traced.lights import Parts, solve_lights
+from open_world import PHOTOS, World, make_world
+
+
+def unevenness(position: np.ndarray, log_albedo: np.ndarray, of: np.ndarray) -> float:
+    even = laplacian(position, log_albedo, np.random.default_rng(0))
+    return float(of @ (even @ torch.from_numpy(of.astype(np.float32))).numpy())
+
+
+def test_it_is_the_weighted_sum_of_squared_differences_over_pairs():
+    random = np.random.default_rng(1)
+    position = random.normal(size=(40, 3))
+    even = laplacian(position, np.zeros((40, 3)), random).to_dense().numpy()
+    np.testing.assert_allclose(even, even.T)
+    np.testing.assert_allclose(even.sum(axis=1), 0.0, atol=1e-5)
+    assert (even - np.diag(np.diag(even)) <= 0.0).all()
+    apart = np.linalg.norm(position[:, None] - position, axis=2)
+    nearest = np.argsort(apart, axis=1)[:, 1 : NEAR + 1]
+    assert (even[np.arange(40)[:, None], nearest] < -0.99 * WEIGHT / (NEAR + FAR)).all()
+
+
+def test_what_differs_in_colour_or_much_in_brightness_need_not_agree():
+    position = np.random.default_rng(2).normal(size=(60, 3))
+    two = np.arange(60) % 2
+    step = two - 0.5
+    same = unevenness(position, np.zeros((60, 3)), step)
+    brighter = unevenness(position, two[:, None] * np.array([1.0, 1.0, 1.0]), step)
+    redder = unevenness(position, two[:, None] * np.array([0.2, -0.1, -0.1]), step)
+    assert brighter < 0.1 * same and redder < 0.1 * same
+    assert unevenness(position, np.full((60, 3), 7.0), step) == pytest.approx(same, rel=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_few_points_are_no_trouble(count):
+    even = laplacian(np.zeros((count, 3)), np.zeros((count, 3)), np.random.default_rng(3))
+    assert even.shape == (count, count) and torch.isfinite(even.to_dense()).all()
+
+
+def shading_left(world: World) -> float:
+    """Rms of log albedo against the truth, after a gain per channel, with photos of one light alone."""
+    light = np.zeros(PHOTOS, int)
+    found = solve_lights(
+        world.points,
+        world.transfer,
+        world.seen,
+        world.cameras,
+        light,
+        0,
+        lambda step, steps: None,
+        Parts(groups=False),
+        fine=False,
+    )
+    error = np.log(found.albedo[found.known]) - np.log(world.albedo[found.known])
+    return float(np.sqrt(np.square(error - error.mean(axis=0)).mean()))
+
+
+def test_under_one_light_shading_is_told_from_paint(monkeypatch):
+    """Two materials on open points: without pairs, light is as the prior has it and its shading stays in the albedo."""
+    world = make_world(lights=1, materials=2)
+    with_pairs = shading_left(world)
+    monkeypatch.setattr(evenness, "WEIGHT", 0.0)
+    assert with_pairs < 0.5 * shading_left(world)
