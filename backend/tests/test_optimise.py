@@ -1,13 +1,16 @@
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import torch
 from dante_w.color import linear_from_srgb, srgb_from_linear
+from dante_w.model import batches as module
+from dante_w.model.batches import BLOCK, RUN, batches, blocks
 from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.hash_encoding import GridSpec
 from dante_w.model.held_out import _bands, choose_held_out
-from dante_w.model.optimise import FINAL_RATE, RUN, LossTerms, Schedule, batches, cosine, fit, model_loss
+from dante_w.model.optimise import FINAL_RATE, LossTerms, Schedule, cosine, fit, model_loss
 from dante_w.model.presets import PRESETS, equal_bands
 from dante_w.model.pyramid import PyramidSpec
 from dante_w.rays.ray_cache import CELLS, RayCache, Samples, Surface, note_finest
@@ -109,6 +112,37 @@ def test_batches_draw_the_samples_of_the_ranges_equally_and_no_other(lengths, se
     # a run counts up to RUN times at once, so the spread is that of RUN times fewer draws
     mean = len(drawn) / len(allowed)
     assert abs(counts - mean).max() < 6 * np.sqrt(RUN * mean) + RUN
+
+
+def test_of_more_samples_than_the_pool_blocks_take_turns(monkeypatch):
+    ranges = np.array([[5, 5 + 10 * BLOCK + 7], [20 * BLOCK, 26 * BLOCK]])
+    count = (ranges[:, 1] - ranges[:, 0]).sum()
+    cut = blocks(ranges)
+    pieces = np.concatenate([np.arange(a, b) for a, b in cut])
+    np.testing.assert_array_equal(pieces, np.concatenate([np.arange(a, b) for a, b in ranges]))
+    assert (cut[:, 1] - cut[:, 0]).max() == BLOCK and len(cut) == 17
+
+    monkeypatch.setattr(module, "POOL", 4 * BLOCK)
+    draws = batches(ranges, BLOCK, 0)
+    parts = [np.unique(np.searchsorted(cut[:, 1], next(draws), side="right")) for _ in range(340)]
+    assert max(map(len, parts)) == 4  # few blocks at a time ...
+    kept = np.mean([len(np.intersect1d(*pair)) for pair in pairwise(parts)])
+    assert 1.7 < kept < 2.2  # ... of which two give way to others
+    counts = np.delete(
+        np.bincount(np.concatenate(parts), minlength=17), 10
+    )  # the short one is seldom drawn from
+    mean = len(parts) * 4 / 17
+    assert 0.9 * mean < counts.min() and counts.max() < 1.1 * mean
+
+    monkeypatch.setattr(module, "POOL", int(count))
+    whole = batches(ranges, 4096 * RUN, 0)
+    drawn = np.concatenate([next(whole) for _ in range(3)])
+    assert len(np.unique(drawn)) > 0.9 * count
+    for pool in (4 * BLOCK, int(count)):
+        monkeypatch.setattr(module, "POOL", pool)
+        later, first = batches(ranges, 512, 3, behind=2), batches(ranges, 512, 3)
+        next(first), next(first)
+        np.testing.assert_array_equal(next(later), next(first))
 
 
 def test_the_learning_rate_falls_along_a_cosine():

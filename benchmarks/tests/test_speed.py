@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.fused import FusedStep
 from dante_w.model.hash_encoding import GridSpec
 from dante_w.model.optimise import TorchStep
+from measure.stages import Stage, measure
 
 SPEC = ModelSpec(GridSpec(2, 3, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 10), hidden=8, embedding=2)
 
@@ -63,5 +65,23 @@ def test_works_take_turns_and_the_median_counts(monkeypatch: pytest.MonkeyPatch)
         calls.append(name)
         now[0] += next(lengths[name])
 
-    assert speed.measure({name: lambda name=name: work(name) for name in "ab"}, 3) == {"a": 2.0, "b": 7.0}
-    assert calls == ["a", "b"] * 4
+    def before(name: str) -> None:
+        calls.append(f"before {name}")
+        now[0] += 100.0
+
+    stages = {name: Stage(partial(work, name), partial(before, name)) for name in "ab"}
+    assert measure(stages, 3) == {"a": 2.0, "b": 7.0}
+    assert calls == ["before a", "a", "before b", "b"] * 4
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_without_a_gpu_cuda_is_said_not_to_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["speed", "--device", "cuda", "--json"])
+    speed.main()
+    out = capsys.readouterr().out
+    found = json.loads(out.splitlines()[-1])
+    assert "could not be run here" in out
+    assert found["could_not_be_run"] == "this torch finds no CUDA GPU"
+    assert "full_step_ratio" not in found

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
-from dante_w.model import fused
+from dante_w.model import fused, triton_grid
 from dante_w.model.hash_encoding import GridSpec, HashGrid
 from dante_w.model.pyramid import LevelSum, PyramidSpec
 
@@ -44,6 +44,10 @@ class AlbedoField(nn.Module):
     def forward(self, uv: torch.Tensor) -> torch.Tensor:
         return torch.sigmoid(_decoded(self.grid, self.decoder, uv))
 
+    def of_encoded(self, encoded: torch.Tensor) -> torch.Tensor:
+        """The same from encoded texture coordinates (N, L * F)."""
+        return torch.sigmoid(self.decoder(encoded))
+
 
 class IrradianceField(nn.Module):
     """s = softplus(MLP(hash3D(x), e_k)), Eq. 5: positions (N, 3) in the unit cube and photo embeddings (N, E) to
@@ -56,6 +60,10 @@ class IrradianceField(nn.Module):
 
     def forward(self, position: torch.Tensor, embedding: torch.Tensor) -> torch.Tensor:
         return nn.functional.softplus(_decoded(self.grid, self.decoder, position, embedding))
+
+    def of_encoded(self, encoded: torch.Tensor, embedding: torch.Tensor) -> torch.Tensor:
+        """The same from encoded positions (N, L * F)."""
+        return nn.functional.softplus(self.decoder(torch.cat([encoded, embedding], dim=1)))
 
 
 class Model(nn.Module):
@@ -91,10 +99,12 @@ def _decoded(
     grid: HashGrid, decoder: nn.Module, points: torch.Tensor, extra: torch.Tensor | None = None
 ) -> torch.Tensor:
     """What the decoder (N, 3) makes of encoded points (N, D) and further inputs (N, E). Where no gradients are wanted
-    the CPU's kernels compute it, else plain torch."""
-    if not torch.is_grad_enabled() and fused.computes(grid, decoder):
+    the kernels compute what they can, else plain torch."""
+    training = torch.is_grad_enabled()
+    if not training and fused.computes(grid, decoder):
         return fused.decoded(grid, decoder, points, extra)
-    encoded = grid(points)
+    by_triton = not training and triton_grid.computes(grid)
+    encoded = triton_grid.encode(points, grid.tables, grid.spec) if by_triton else grid(points)
     raw: torch.Tensor = decoder(encoded if extra is None else torch.cat([encoded, extra], dim=1))
     return raw
 

@@ -21,7 +21,7 @@ import torch
 from dante_w.model.kernels import BLOCK
 from dante_w.model.kernels.adam import BETA_1, BETA_2, LINE, adam
 from dante_w.model.kernels.batch import Batch, Photos, evaluate, gradients, scatter_photos
-from dante_w.model.kernels.decoder import Decoder
+from dante_w.model.kernels.decoder import OUTPUTS, Decoder
 from dante_w.model.kernels.grid import Grid, scatter
 from dante_w.model.kernels.loss import Weights
 from dante_w.model.pyramid import LevelSum
@@ -65,7 +65,7 @@ class FusedStep:
     def __init__(
         self, model: Model, terms: LossTerms, parameters: Sequence[torch.nn.Parameter], learning_rate: float
     ) -> None:
-        self._model, self._terms, self._learning_rate, self._steps = model, terms, learning_rate, 0
+        self._model, self._terms, self._learning_rate, self.updates = model, terms, learning_rate, 0
         chosen = {id(parameter) for parameter in parameters}
         self._state = {
             name: _Moments(_array(parameter))
@@ -96,16 +96,23 @@ class FusedStep:
         for name, own in zip(("albedo", "irradiance"), sums, strict=True):
             for part, stack in zip(_DECODER_PARTS, own, strict=True):
                 if f"{name}.decoder.{part}" in self._state:
-                    self._state[f"{name}.decoder.{part}"].gradient[:] = stack.sum(0)
+                    gradient = self._state[f"{name}.decoder.{part}"].gradient
+                    gradient[:] = stack.sum(0)[: len(gradient)]
         run(self._scatters(batch, first_rows))
         return math.fsum(losses), {name: state.gradient for name, state in self._state.items()}
 
-    def update(self, rate: float) -> None:
-        """Take an Adam step along the gradients, with the learning rate times `rate`."""
-        self._steps += 1
-        step = np.float32(self._learning_rate * rate / (1.0 - float(BETA_1) ** self._steps))
-        root = np.float32(1.0 / math.sqrt(1.0 - float(BETA_2) ** self._steps))
+    def update(self, rate: float, share: Callable[[torch.Tensor], None] = lambda _: None) -> None:
+        """Take an Adam step along the gradients, with the learning rate times `rate`; see `Step`."""
+        for state in self._state.values():
+            share(torch.from_numpy(state.gradient))
+        self.updates += 1
+        step = np.float32(self._learning_rate * rate / (1.0 - float(BETA_1) ** self.updates))
+        root = np.float32(1.0 / math.sqrt(1.0 - float(BETA_2) ** self.updates))
         run(partial(adam, *piece, step, root) for state in self._state.values() for piece in state.pieces)
+
+    def moments(self) -> list[np.ndarray]:
+        """What Adam remembers, besides the number of `updates`: the arrays themselves."""
+        return [moment for state in self._state.values() for moment in state.moments]
 
     def _scatters(self, batch: Batch, first_rows: dict[str, int]) -> Iterable[Callable[[], None]]:
         """Tasks that add up what the samples say, each for numbers of its own; the slowest first."""
@@ -146,6 +153,7 @@ class _Moments:
 
     def __init__(self, value: np.ndarray) -> None:
         self.gradient, mean, square = (np.zeros_like(value) for _ in range(3))
+        self.moments = [mean, square]
         flat = [array.reshape(-1) for array in (value, mean, square, self.gradient)]
         whole = value.size - value.size % LINE
         cuts = [*pieces_of(whole, TABLE_PIECE), (whole, value.size)]
@@ -180,9 +188,12 @@ def grid_of(grid: HashGrid) -> Grid:
 
 
 def decoder_of(decoder: torch.nn.Module) -> Decoder:
+    """The layers as the kernels take them: the second one is a copy, with a row of zeros added."""
     if isinstance(decoder, torch.nn.Sequential):
-        return Decoder(*(_array(parameter) for parameter in decoder.parameters()))
-    shapes = (0, 0), (0,), (3, 0), (3,)
+        w1, b1, w2, b2 = (_array(parameter) for parameter in decoder.parameters())
+        w2, b2 = (np.concatenate([part, np.zeros_like(part[: OUTPUTS - len(part)])]) for part in (w2, b2))
+        return Decoder(w1, b1, w2, b2)
+    shapes = (0, 0), (0,), (OUTPUTS, 0), (OUTPUTS,)
     return Decoder(*(np.zeros(shape, np.float32) for shape in shapes))
 
 

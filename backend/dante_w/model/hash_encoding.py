@@ -80,7 +80,8 @@ class HashGrid(torch.nn.Module):
 
 def encode_reference(points: torch.Tensor, tables: torch.Tensor, spec: GridSpec) -> torch.Tensor:
     """Encode points (N, D) of [0, 1]^D as (N, L * F); gradients flow to the tables only."""
-    points = points.to(tables.dtype).nan_to_num(0.0).clamp(0.0, 1.0)
+    # halves know a place to a thousandth; only values are rounded to the tables' type
+    points = points.to(torch.promote_types(tables.dtype, torch.float32)).nan_to_num(0.0).clamp(0.0, 1.0)
     start, encoded = 0, []
     for resolution, side, entries in zip(spec.resolutions, spec.sides, spec.entries, strict=True):
         scaled = (points * resolution - 0.5).clamp(0.0, side - 1) if spec.centred else points * resolution
@@ -90,10 +91,12 @@ def encode_reference(points: torch.Tensor, tables: torch.Tensor, spec: GridSpec)
         level = torch.zeros(len(points), spec.features, dtype=tables.dtype, device=tables.device)
         for corner in itertools.product((0, 1), repeat=spec.dimensions):
             vertex = low + torch.tensor(corner, device=low.device)
-            weight = torch.ones(len(points), dtype=tables.dtype, device=tables.device)
+            weight = torch.ones(len(points), dtype=points.dtype, device=tables.device)
             for axis, bit in enumerate(corner):
                 weight = weight * (fraction[:, axis] if bit else 1.0 - fraction[:, axis])
-            level = level + weight[:, None] * tables[start + vertex_index(vertex, side, entries)]
+            level = (
+                level + weight[:, None].to(tables.dtype) * tables[start + vertex_index(vertex, side, entries)]
+            )
         encoded.append(level)
         start += entries
     return torch.cat(encoded, dim=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dante_w.model.divergence import Setback
 from dante_w.model.fields import Model
 from dante_w.model.optimise import LossTerms, Progress, Schedule, fit, photo_ranges, psnr
 from dante_w.rays.ray_cache import RayCache
@@ -28,19 +29,20 @@ def choose_held_out(photos: int) -> np.ndarray:
 
 def held_out_psnr(
     model: Model, cache: RayCache, held_out: np.ndarray, seed: int, progress: Progress
-) -> float | None:
-    """PSNR in dB of the re-rendered held-out photos (sRGB), or None if they see nothing.
+) -> tuple[float | None, list[Setback]]:
+    """PSNR in dB of the re-rendered held-out photos (sRGB), or None if they see nothing; and setbacks on the way.
 
     A held-out photo has a light and an exposure of its own, which no other photo tells. So its embedding,
     exposure and offset, and nothing else, are fitted on one half of its pixels, in bands, and the score is
     taken on the other half (as in NeRF-W, section 4).
     """
     fitted, scored = _bands(photo_ranges(cache, held_out))
-    if len(scored) == 0:
-        return None
+    if len(scored) == 0 or len(fitted) == 0:
+        return None, []
     terms = LossTerms(prior_weight=0.0)
-    fit(model, cache, fitted, terms, SCHEDULE, seed, progress, model.photo_parameters())
-    return psnr(model, cache, np.concatenate([np.arange(first, end) for first, end in scored]))
+    course = fit(model, cache, fitted, terms, SCHEDULE, seed, progress, model.photo_parameters())
+    scored_samples = np.concatenate([np.arange(first, end) for first, end in scored])
+    return psnr(model, cache, scored_samples), course.setbacks
 
 
 def _bands(ranges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import torch
 
+from dante_w import distributed
+from dante_w.checkpoints import Checkpoints
 from dante_w.color import linear_from_srgb, srgb_from_linear
-from dante_w.model import fused
+from dante_w.model import fused, triton_grid
+from dante_w.model.batches import RUN, batches
+from dante_w.model.divergence import Course, Watch
 from dante_w.model.fields import Model
+from dante_w.model.fit_state import keep, resume
 from dante_w.model.fused import DARKNESS, FusedStep
+from dante_w.model.triton_step import TritonStep
 from dante_w.rays.ray_cache import RayCache, Samples
 
-#: Samples drawn as one run of neighbours: they share table entries, so memory is touched less often.
-RUN = 16
 #: The learning rate falls along a cosine to this fraction.
 FINAL_RATE = 1.0 / 30.0
 
@@ -79,10 +83,18 @@ def model_loss(model: Model, samples: Samples, terms: LossTerms) -> torch.Tensor
     return loss
 
 
+#: Takes a gradient and may replace it in place, as by the mean over several processes.
+Share = Callable[[torch.Tensor], None]
+
+
+def alone(_: torch.Tensor) -> None:
+    """A `Share` of one process."""
+
+
 class Step(Protocol):
     """One way to compute a step of the fit.
 
-    `TorchStep` is plain torch, for any device, and the reference; `FusedStep` is numba, for the CPU.
+    `TorchStep` is plain torch, for any device, and the reference; `FusedStep` is numba, for the CPU; `TritonStep` for CUDA.
     """
 
     def gradients(
@@ -91,8 +103,8 @@ class Step(Protocol):
         """Loss of a batch, and its gradients by parameter name; valid until `update`, which has to follow."""
         ...
 
-    def update(self, rate: float) -> None:
-        """Change the parameters by Adam, with the learning rate times `rate`."""
+    def update(self, rate: float, share: Share = alone) -> None:
+        """Change the parameters by Adam, with the learning rate times `rate`, once `share` has seen every gradient."""
         ...
 
 
@@ -118,8 +130,11 @@ class TorchStep:
             parameter.grad = gradient
         return loss.detach(), {name: p.grad for name, p in self._chosen.items() if p.grad is not None}
 
-    def update(self, rate: float) -> None:
+    def update(self, rate: float, share: Share = alone) -> None:
         """See `Step`."""
+        for parameter in self._chosen.values():
+            if parameter.grad is not None:
+                share(parameter.grad)
         for group in self._optimiser.param_groups:
             group["lr"] = self._learning_rate * rate
         self._optimiser.step()
@@ -131,7 +146,11 @@ def step_for(
 ) -> Step:
     """The fastest way for a model where it is."""
     fields = model.albedo, model.irradiance
-    way = FusedStep if all(fused.computes(field.grid, field.decoder) for field in fields) else TorchStep
+    way: type[FusedStep | TritonStep | TorchStep] = TorchStep
+    if all(fused.computes(field.grid, field.decoder) for field in fields):
+        way = FusedStep
+    elif all(triton_grid.computes(field.grid) for field in fields):
+        way = TritonStep
     return way(model, terms, parameters, learning_rate)
 
 
@@ -144,23 +163,54 @@ def fit(
     seed: int,
     progress: Progress,
     parameters: list[torch.nn.Parameter] | None = None,
-) -> None:
-    """Minimise `model_loss` over random samples of the cache, in place.
+    kept: Checkpoints | None = None,
+    name: str = "",
+    shared: bool = True,
+) -> Course:
+    """Minimise `model_loss` over random samples of the cache, in place; returns how it went.
+
+    Steps after which the loss is not finite or has risen are taken back and done again at a lower rate, see `divergence`.
 
     Args:
         ranges: (R, 2), the samples to draw from; see `photo_ranges`.
         parameters: what to change; everything by default.
+        kept: where the fit is kept under `name` every now and then, and gone on with if it was; not with several processes.
+        shared: with several processes, each draws its part of a batch from photos of its own, and gradients are shared;
+            see `distributed`. Else this process fits alone.
     """
     chosen = list(model.parameters()) if parameters is None else parameters
     way = step_for(model, terms, chosen, schedule.learning_rate)
-    draws = batches(ranges, schedule.batch, seed)
-    latest = math.nan
-    for step in range(schedule.steps):
+    watch = Watch(chosen, schedule.steps)
+    batch: int = schedule.batch
+    share: Share = alone
+    if shared and distributed.world() > 1:
+        batch, share, kept = max(batch // distributed.world(), RUN), distributed.mean, None
+        ranges, seed = distributed.own(ranges), seed + distributed.SEEDS * distributed.rank()
+    step, drawn = resume(kept, name, schedule.steps, chosen, way, watch) if kept else (0, 0)
+    draws, losses = batches(ranges, batch, seed, drawn), []
+    while step < schedule.steps:
         loss, _ = way.gradients(cache.samples(next(draws), model.offset.device))
-        way.update(cosine(step, schedule.steps))
-        if step % 10 == 0:  # reading the loss waits for the device
-            latest = float(loss)
-        progress(step + 1, schedule.steps, latest)
+        if step == 0:
+            watch.start(_mean([loss], share))
+        way.update(watch.rate * cosine(step, schedule.steps), share)
+        step, drawn = step + 1, drawn + 1
+        losses.append(loss)
+        if watch.due(step):  # reading the losses waits for the device
+            step, done = watch.look(step, _mean(losses, share)), step
+            losses.clear()
+            if step < done:
+                way = step_for(model, terms, chosen, schedule.learning_rate)
+            elif kept:
+                keep(kept, name, step, drawn, schedule.steps, chosen, way, watch)
+        progress(step, schedule.steps, watch.last)
+    return Course(watch.first, watch.last, watch.setbacks)
+
+
+def _mean(losses: Sequence[float | torch.Tensor], share: Share) -> float:
+    """Of the losses of several batches, over all processes."""
+    mean = torch.tensor([float(sum(losses)) / len(losses)], dtype=torch.float64)
+    share(mean)
+    return float(mean)
 
 
 def cosine(step: int, steps: int) -> float:
@@ -174,25 +224,6 @@ def photo_ranges(cache: RayCache, photos: np.ndarray) -> np.ndarray:
     return ranges[ranges[:, 1] > ranges[:, 0]]
 
 
-def batches(ranges: np.ndarray, batch: int, seed: int) -> Iterator[np.ndarray]:
-    """Endless random batches of sample indices from ranges (R, 2) of the cache, in runs of `RUN` neighbours.
-
-    Every sample is drawn with the same probability. With fewer samples than a batch, samples repeat.
-    """
-    generator = np.random.default_rng(seed)
-    lengths = ranges[:, 1] - ranges[:, 0]
-    ends = np.cumsum(lengths)
-    within = np.arange(RUN)
-    runs = max(batch // RUN, 1)
-    while True:
-        ranks = generator.integers(0, ends[-1], runs)
-        which = np.searchsorted(ends, ranks, side="right")
-        length = lengths[which]
-        # a run that reaches the end of its range goes on at its start: no sample is drawn less often
-        place = (ranks - (ends[which] - length))[:, None] + within
-        yield (ranges[which, :1] + place % length[:, None]).reshape(-1)
-
-
 @torch.no_grad()
 def psnr(model: Model, cache: RayCache, index: np.ndarray) -> float:
     """PSNR in dB of re-rendered sRGB colours against the photos at the given samples."""
@@ -203,6 +234,6 @@ def psnr(model: Model, cache: RayCache, index: np.ndarray) -> float:
         light = model.light(samples.position, samples.photo)
         colour = model.expose(model.albedo(samples.uv) * light, samples.photo)
         error = srgb_from_linear(colour).clamp(0.0, 1.0) - samples.colour.clamp(0.0, 1.0)
-        squared += float(error.double().square().sum())
+        squared += float(error.square().mean()) * error.numel()  # there is no float64 on Apple's GPUs
         count += error.numel()
     return -10.0 * math.log10(max(squared / max(count, 1), 1e-12))

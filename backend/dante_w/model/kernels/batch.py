@@ -8,7 +8,7 @@ import numpy as np
 
 from dante_w.jit import njit_fast
 from dante_w.model.kernels import BLOCK
-from dante_w.model.kernels.decoder import decode, decode_backward
+from dante_w.model.kernels.decoder import OUTPUTS, decode, decode_backward
 from dante_w.model.kernels.grid import encode, load
 from dante_w.model.kernels.loss import Shown, loss_backward
 
@@ -48,7 +48,7 @@ def evaluate(points, extra, grid, decoder, first, end, out):  # type: ignore[no-
     entry = np.empty((1 << dimensions, BLOCK), np.uint32)
     weight = np.empty((1 << dimensions, BLOCK), np.float32)
     x = np.zeros((width + extra.shape[1], BLOCK), np.float32)
-    hidden, raw = np.empty((len(decoder.b1), BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
+    hidden, raw = np.empty((len(decoder.b1), BLOCK), np.float32), np.empty((OUTPUTS, BLOCK), np.float32)
     for start in range(first, end, BLOCK):
         count = min(BLOCK, end - start)
         load(points, start, block)
@@ -84,8 +84,8 @@ def gradients(  # type: ignore[no-untyped-def]
     l_hidden = np.empty((len(light_decoder.b1), BLOCK), np.float32)
     a_back, l_back = np.empty_like(a_hidden), np.empty_like(l_hidden)
     a_raw, l_raw, log_light = (
-        np.empty((3, BLOCK), np.float32),
-        np.zeros((3, BLOCK), np.float32),
+        np.empty((OUTPUTS, BLOCK), np.float32),
+        np.zeros((OUTPUTS, BLOCK), np.float32),
         np.empty((3, BLOCK), np.float32),
     )
     shown = Shown(
@@ -95,6 +95,7 @@ def gradients(  # type: ignore[no-untyped-def]
         np.full((3, BLOCK), np.float32(np.nan)),
         np.empty(BLOCK, np.float32),
     )
+    photo = np.empty(BLOCK, np.int64)
     photometric = weights.photometric > _ZERO
     w_row = a_width + l_width + embedding
     b_row = w_row + 3
@@ -108,19 +109,19 @@ def gradients(  # type: ignore[no-untyped-def]
             load(batch.position, start, position)
             encode(light, position, entry, weight, l_x)
             for s in range(BLOCK):
-                photo = batch.photo[min(start + s, end - 1)]
-                for e in range(embedding):
-                    l_x[l_width + e, s] = photos.embedding[photo, e]
-                for c in range(3):
-                    shown.exposure[c, s] = photos.exposure[photo, c]
-                    shown.offset[c, s] = photos.offset[photo, c]
+                photo[s] = batch.photo[min(start + s, end - 1)]
+            _fetch(photos.embedding, photo, l_x[l_width:])
+            _fetch(photos.exposure, photo, shown.exposure)
+            _fetch(photos.offset, photo, shown.offset)
             decode(light_decoder, l_x, l_hidden, l_raw)
         shown.weight[:] = _ZERO
         for s in range(count):
             shown.weight[s] = batch.weight[start + s]
-            for c in range(3):
+        for c in range(3):
+            for s in range(count):
                 shown.colour[c, s] = batch.colour[start + s, c]
-                if len(batch.prior) > 0:
+            if len(batch.prior) > 0:
+                for s in range(count):
                     shown.prior[c, s] = batch.prior[start + s, c]
         own = rows[start // BLOCK]
         loss += loss_backward(a_raw, l_raw, shown, weights, log_light, own[w_row:b_row], own[b_row:])
@@ -131,9 +132,27 @@ def gradients(  # type: ignore[no-untyped-def]
 
 
 @njit_fast
+def _fetch(values, photo, block):  # type: ignore[no-untyped-def]
+    """What belongs to the photos, `values` (K, W), of each sample: into `block` (W, BLOCK)."""
+    for w in range(len(block)):
+        for s in range(BLOCK):
+            block[w, s] = values[photo[s], w]
+
+
+@njit_fast
 def scatter_photos(photo, rows, first_row, gradient):  # type: ignore[no-untyped-def]
     """Add upstream gradients to those of each sample's photo, `gradient` (K, W): of `rows` (blocks, R, BLOCK) the W from
     `first_row` on."""
-    for s in range(len(photo)):
-        for w in range(gradient.shape[1]):
-            gradient[photo[s], w] += rows[s // BLOCK, first_row + w, s % BLOCK]
+    for start in range(0, len(photo), BLOCK):
+        block, count = rows[start // BLOCK], min(BLOCK, len(photo) - start)
+        first = 0
+        while first < count:  # neighbours mostly belong to one photo
+            own, end = photo[start + first], first + 1
+            while end < count and photo[start + end] == own:
+                end += 1
+            for w in range(gradient.shape[1]):
+                total = _ZERO
+                for s in range(first, end):
+                    total += block[first_row + w, s]
+                gradient[own, w] += total
+            first = end

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dante_w import color
 from dante_w.jit import njit_fast
 
 _F = np.float32
@@ -21,7 +22,7 @@ _LEAST, _MOST = _F(-126.0), _F(127.0)
 _TINY = _F(2.0**-126)
 # of the sRGB transfer, IEC 61966-2-1
 _SLOPE, _GAIN, _SHIFT, _POWER = _F(12.92), _F(1.055), _F(0.055), _F(1.0 / 2.4)
-_LINEAR_END, _ENCODED_END = _F(0.0031308), _F(0.04045)
+_LINEAR_END, _ENCODED_END = _F(color.LINEAR_END), _F(color.ENCODED_END)
 
 
 @njit_fast

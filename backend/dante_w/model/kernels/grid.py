@@ -44,14 +44,11 @@ def corners(points, resolution, shift, entries, entry, weight):  # type: ignore[
 @njit_fast
 def _corners_2d(points, resolution, shift, entries, entry, weight):  # type: ignore[no-untyped-def]
     side = np.int32(resolution + _ONE - np.float32(2.0) * shift)
-    last, far = np.float32(side - 1), np.int32(side - 2)
     dense = np.int64(side) * np.int64(side) <= entries
     mask = np.uint32(entries - 1)
     for s in range(BLOCK):
-        sx = min(max(points[0, s] * resolution - shift, np.float32(0.0)), last)
-        sy = min(max(points[1, s] * resolution - shift, np.float32(0.0)), last)
-        x, y = min(np.int32(sx), far), min(np.int32(sy), far)
-        fx, fy = sx - np.float32(x), sy - np.float32(y)
+        x, fx = _cell(points[0, s], resolution, shift, side)
+        y, fy = _cell(points[1, s], resolution, shift, side)
         high, low = fy, _ONE - fy
         weight[0, s], weight[1, s] = low - low * fx, low * fx
         weight[2, s], weight[3, s] = high - high * fx, high * fx
@@ -70,30 +67,50 @@ def _corners_2d(points, resolution, shift, entries, entry, weight):  # type: ign
 @njit_fast
 def _corners_3d(points, resolution, shift, entries, entry, weight):  # type: ignore[no-untyped-def]
     side = np.int32(resolution + _ONE - np.float32(2.0) * shift)
-    last, far = np.float32(side - 1), np.int32(side - 2)
     dense = np.int64(side) * np.int64(side) * np.int64(side) <= entries
     mask = np.uint32(entries - 1)
-    plane = np.int32(side * side)
     for s in range(BLOCK):
-        sx = min(max(points[0, s] * resolution - shift, np.float32(0.0)), last)
-        sy = min(max(points[1, s] * resolution - shift, np.float32(0.0)), last)
-        sz = min(max(points[2, s] * resolution - shift, np.float32(0.0)), last)
-        x, y, z = min(np.int32(sx), far), min(np.int32(sy), far), min(np.int32(sz), far)
-        fx, fy, fz = sx - np.float32(x), sy - np.float32(y), sz - np.float32(z)
-        for bz in range(2):
-            wz = fz if bz else _ONE - fz
-            for by in range(2):
-                wy = wz * fy if by else wz - wz * fy
-                c = by * 2 + bz * 4
-                weight[c, s], weight[c + 1, s] = wy - wy * fx, wy * fx
-                yb, zb = np.int32(y + np.int32(by)), np.int32(z + np.int32(bz))
-                if dense:
-                    corner = np.int32(x + np.int32(yb * side) + np.int32(zb * plane))
-                    entry[c, s], entry[c + 1, s] = corner, corner + np.int32(1)
-                else:
-                    h = np.uint32(np.uint32(yb) * _PRIME_Y) ^ np.uint32(np.uint32(zb) * _PRIME_Z)
-                    entry[c, s] = (np.uint32(x) ^ h) & mask
-                    entry[c + 1, s] = (np.uint32(x + np.int32(1)) ^ h) & mask
+        _, fx = _cell(points[0, s], resolution, shift, side)
+        _, fy = _cell(points[1, s], resolution, shift, side)
+        _, fz = _cell(points[2, s], resolution, shift, side)
+        high, low = fz, _ONE - fz
+        w00, w01, w10, w11 = low - low * fy, low * fy, high - high * fy, high * fy
+        weight[0, s], weight[1, s] = w00 - w00 * fx, w00 * fx
+        weight[2, s], weight[3, s] = w01 - w01 * fx, w01 * fx
+        weight[4, s], weight[5, s] = w10 - w10 * fx, w10 * fx
+        weight[6, s], weight[7, s] = w11 - w11 * fx, w11 * fx
+    if dense:
+        row, plane = np.uint32(side), np.uint32(side * side)
+        for s in range(BLOCK):
+            x, _ = _cell(points[0, s], resolution, shift, side)
+            y, _ = _cell(points[1, s], resolution, shift, side)
+            z, _ = _cell(points[2, s], resolution, shift, side)
+            near = np.uint32(np.uint32(x) + np.uint32(np.uint32(y) * row) + np.uint32(np.uint32(z) * plane))
+            far = np.uint32(near + plane)
+            entry[0, s], entry[1, s] = near, near + np.uint32(1)
+            entry[2, s], entry[3, s] = near + row, np.uint32(near + row) + np.uint32(1)
+            entry[4, s], entry[5, s] = far, far + np.uint32(1)
+            entry[6, s], entry[7, s] = far + row, np.uint32(far + row) + np.uint32(1)
+        return
+    for s in range(BLOCK):
+        x, _ = _cell(points[0, s], resolution, shift, side)
+        y, _ = _cell(points[1, s], resolution, shift, side)
+        z, _ = _cell(points[2, s], resolution, shift, side)
+        x0, x1 = np.uint32(x), np.uint32(x + np.int32(1))
+        y0, z0 = np.uint32(np.uint32(y) * _PRIME_Y), np.uint32(np.uint32(z) * _PRIME_Z)
+        y1, z1 = np.uint32(y0 + _PRIME_Y), np.uint32(z0 + _PRIME_Z)
+        entry[0, s], entry[1, s] = (x0 ^ y0 ^ z0) & mask, (x1 ^ y0 ^ z0) & mask
+        entry[2, s], entry[3, s] = (x0 ^ y1 ^ z0) & mask, (x1 ^ y1 ^ z0) & mask
+        entry[4, s], entry[5, s] = (x0 ^ y0 ^ z1) & mask, (x1 ^ y0 ^ z1) & mask
+        entry[6, s], entry[7, s] = (x0 ^ y1 ^ z1) & mask, (x1 ^ y1 ^ z1) & mask
+
+
+@njit_fast
+def _cell(coordinate, resolution, shift, side):  # type: ignore[no-untyped-def]
+    """The cell that a coordinate in [0, 1] lies in, along one axis, and how far into it; the far edge belongs to the last."""
+    scaled = min(max(coordinate * resolution - shift, np.float32(0.0)), np.float32(side - 1))
+    cell = min(np.int32(scaled), np.int32(side - 2))
+    return cell, scaled - np.float32(cell)
 
 
 @njit_fast

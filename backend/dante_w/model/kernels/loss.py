@@ -41,7 +41,7 @@ def loss_backward(albedo, light, shown, weights, log_light, d_exposure, d_offset
     """Loss of a block, from what comes before sigmoid and softplus.
 
     Args:
-        albedo, light: (3, BLOCK), what the decoders gave; overwritten by the gradients with respect to it.
+        albedo, light: (OUTPUTS, BLOCK), what the decoders gave; of the first three rows the gradients take the place.
         log_light: (3, BLOCK), scratch.
         d_exposure, d_offset: (3, BLOCK) to write, gradients with respect to w and b.
     """
