@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import math
+import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -12,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from dante_w import __version__
+from dante_w.checkpoints import Checkpoints
 from dante_w.device import peak_memory
 from dante_w.doctor import library_versions
+from dante_w.errors import BadInput
 from dante_w.expectation import Work, predict, since_start
 from dante_w.pace import Texture, measure
 from dante_w.progress import Progress
@@ -24,11 +28,12 @@ from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import Mesh, write_obj
 from dante_w.scene.scene_folder import Frame, Scene
 from dante_w.texture.bake import Texels, bake
-from dante_w.texture.coverage import Coverage
+from dante_w.texture.coverage import Coverage, empty_coverage, mark
 from dante_w.texture.coverage import seen as seen_texels
 from dante_w.texture.known_colours import KnownColour, gain
 from dante_w.texture.unwrap import unwrap
 from dante_w.texture.uvmap import check_uvs
+from dante_w.traced.robust import CLIPPED
 
 #: Texels beyond each chart that are painted, so that mipmaps and bilinear lookups do not bleed.
 GUTTER = 16
@@ -83,6 +88,45 @@ def trace_rays(
     return trace(mesh, scene.frames, visit, lambda done: progress.update("rays", done, 1.0), spill)
 
 
+@dataclasses.dataclass(frozen=True)
+class Seen:
+    """What the photos see of the mesh, and of the texture."""
+
+    cache: RayCache
+    coverage: Coverage
+
+
+def look(
+    scene: Scene, mesh: Mesh, size: int, kept: Checkpoints | None, staging: Path, progress: Progress
+) -> Seen:
+    """Trace the rays and note which of size x size texels they meet, unless that was kept."""
+
+    def work() -> Seen:
+        coverage = empty_coverage(size, size)
+
+        def visit(uv: np.ndarray, footprint: np.ndarray, _: np.ndarray) -> None:
+            mark(coverage, uv, footprint * size)
+
+        return Seen(trace_rays(scene, mesh, visit, staging, progress), coverage)
+
+    return kept.done("rays", Seen, work) if kept else work()
+
+
+def check_exposed(scene: Scene, cache: RayCache) -> None:
+    """Make sure that some photo shows more of the mesh than black and white.
+
+    Raises:
+        BadInput: none does.
+    """
+    for first, end in zip(cache.starts[:-1], cache.starts[1:], strict=True):
+        colour = np.asarray(cache.colour[first:end], np.float32)
+        if ((colour.max(axis=1, initial=0.0) > 0.0) & (colour < CLIPPED).any(axis=1)).any():
+            return
+    raise BadInput(
+        f"{scene.frames[0].image.parent}: all photos are black or overexposed where they show the mesh; use others."
+    )
+
+
 def nearest(texture: np.ndarray) -> Texels:
     """The texels of a square texture that is there already."""
     size = len(texture)
@@ -119,7 +163,7 @@ def bake_files(
     shape = (coverage.height, coverage.width)
     files = {"albedo.raw": (*shape, 3), "coverage.raw": shape}
     kinds = {"albedo.raw": TEXEL_TYPES[kind], "coverage.raw": np.uint8}
-    out, marks = (np.memmap(staging / name, kinds[name], "w+", shape=files[name]) for name in files)
+    out, marks = (_mapped(staging / name, kinds[name], files[name]) for name in files)
     seen = bake(
         texels, mesh.uvs, coverage, GUTTER, out, marks, lambda done: progress.update("bake", done, 1.0)
     )
@@ -134,6 +178,17 @@ def bake_files(
         (staging / name).unlink()
     progress.update("write", 1, 1)
     return seen
+
+
+def _mapped(path: Path, kind: type, shape: tuple[int, ...]) -> np.ndarray:
+    """A new file as an array. Its room is taken at once: a mapped file that meets the end of the disk kills the process."""
+    size = math.prod(shape) * np.dtype(kind).itemsize
+    with open(path, "wb") as file:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file.fileno(), 0, size)
+        else:
+            file.truncate(size)
+    return np.memmap(path, kind, "r+", shape=shape)
 
 
 def write_report(

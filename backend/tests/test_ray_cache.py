@@ -53,12 +53,16 @@ def test_a_sample_takes_at_most_24_bytes(scene, tmp_path):
 
 def test_a_spilled_cache_holds_the_same_samples(scene, tmp_path, monkeypatch):
     in_memory = trace(scene, tmp_path / "a")
-    monkeypatch.setattr(ray_cache.psutil, "virtual_memory", lambda: type("Memory", (), {"available": 0}))
+    monkeypatch.setattr(ray_cache, "SHARE_OF_MEMORY", 0.0)
     on_disk = trace(scene, tmp_path / "b")
     assert isinstance(on_disk.colour, np.memmap)
     assert not list((tmp_path / "a").iterdir())
     for name in ("face", "bary", "colour", "starts"):
         np.testing.assert_array_equal(getattr(in_memory, name), getattr(on_disk, name))
+    whole = ray_cache.sample_bytes(prior=False) * len(on_disk)
+    assert sum(file.stat().st_size for file in (tmp_path / "b").iterdir()) == whole
+    on_disk.forget()
+    np.testing.assert_array_equal(in_memory.colour, on_disk.colour)
 
 
 def test_masked_pixels_make_no_samples(tmp_path):

@@ -11,6 +11,7 @@ from dante_w.color import srgb_from_linear_array
 from dante_w.rays.ray_cache import RayCache, Surface
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
+from dante_w.traced import shading_points
 from dante_w.traced.albedo import albedo_texture
 from dante_w.traced.gloss import sheen
 from dante_w.traced.lights import Lights
@@ -114,6 +115,28 @@ def photo_of(world: World) -> np.ndarray:
 
 def test_the_albedo_comes_out_as_it_went_in(world):
     np.testing.assert_allclose(inside(world.texture()), np.broadcast_to(ALBEDO, (784, 3)), rtol=0.03)
+
+
+def test_of_many_photos_some_observations_stand_for_all(world, monkeypatch):
+    whole, everything = inside(world.texture()), gather(world.cache, CAMERAS)[1]
+    monkeypatch.setattr(shading_points, "PHOTOS", 4)
+    monkeypatch.setattr(shading_points, "ANCHORS", 64)  # of 256 cells a side
+    points, seen = gather(world.cache, CAMERAS)
+    cell = np.flatnonzero(points.point_of_cell >= 0)
+    anchor = (cell % 256 % 4 == 0) & (cell // 256 % 4 == 0)
+    views = np.bincount(seen.point)
+    before = np.bincount(everything.point)
+    np.testing.assert_array_equal(views, np.where(anchor, before, np.minimum(before, 4)))
+    assert (np.bincount(seen.photo[~anchor[seen.point]]) > 0.3 * len(points)).all(), "no photo is left out"
+    keys = everything.photo.astype(np.int64) * len(points) + everything.point
+    rows = np.searchsorted(keys, seen.photo.astype(np.int64) * len(points) + seen.point)
+    np.testing.assert_array_equal(seen.colour, everything.colour[rows])
+
+    monkeypatch.setattr(shading_points, "ROWS", len(points))  # thinned again and again on the way
+    again = gather(world.cache, CAMERAS)[1]
+    np.testing.assert_array_equal(again.point, seen.point)
+    np.testing.assert_array_equal(again.photo, seen.photo)
+    np.testing.assert_allclose(inside(world.texture()), whole, atol=0.02)
 
 
 def test_people_in_some_photos_do_not_tint_the_texture(world):

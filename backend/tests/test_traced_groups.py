@@ -88,6 +88,24 @@ def test_first_groups_are_pure(world, monkeypatch):
     assert same_partition(first_groups(seen, POINTS, PHOTOS), TRUTH)
 
 
+def test_linkage_passes_over_what_is_not_known():
+    # photos 0 to 3 along a wall, each overlapping the next; 4 and 5 are of another light
+    apart, known = np.full((6, 6), 1.0), np.zeros((6, 6), bool)
+    for i, j, distance in ((0, 1, 0.1), (1, 2, 0.1), (2, 3, 0.1), (4, 5, 0.1), (1, 4, 0.3), (2, 5, 0.3)):
+        apart[i, j] = apart[j, i] = distance
+        known[i, j] = known[j, i] = True
+    found = groups._average_linkage(apart, 2, known)
+    assert same_partition(found, np.array([0, 0, 0, 0, 1, 1]))
+    assert len(np.unique(groups._average_linkage(apart, 2, np.zeros((6, 6), bool)))) == 2
+
+
+@pytest.mark.parametrize("count", [6, 9])
+def test_of_many_photos_some_are_compared_with_all(world, monkeypatch, count):
+    monkeypatch.setattr(groups, "GROUPS", LIGHTS)
+    monkeypatch.setattr(groups, "COMPARED", count)
+    assert same_partition(first_groups(world[3], POINTS, PHOTOS), TRUTH)
+
+
 def test_clipped_and_dark_observations_do_not_group(world, monkeypatch):
     monkeypatch.setattr(groups, "GROUPS", LIGHTS)
     seen = world[3]

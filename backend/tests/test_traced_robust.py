@@ -15,11 +15,12 @@ from dante_w.traced.robust import (
     NEAR_EDGE,
     NOISY,
     OUTLYING,
+    agreement,
     clipped,
+    consensus,
     dark,
     edge,
     medians,
-    outlier,
 )
 
 RANDOM = np.random.default_rng(4)
@@ -71,6 +72,13 @@ def test_medians_are_weighted():
         repeated = np.sort(np.repeat(values[group == g], weight[group == g].astype(int)))
         assert found[g] == repeated[(len(repeated) - 1) // 2]
     assert medians(np.array([3.0]), np.zeros(1), np.array([1])).tolist() == [0.0, 0.0]
+
+
+def outlier(
+    rows: np.ndarray, weight: np.ndarray, noise: np.ndarray, point: np.ndarray, light: np.ndarray
+) -> np.ndarray:
+    """The trust in photos that are themselves all that there are."""
+    return agreement(rows, noise, point, consensus(rows, weight, point, light))
 
 
 def one_point(values: list[float], light: list[int] | None = None, weight: float = 1.0) -> np.ndarray:

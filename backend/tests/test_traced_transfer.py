@@ -200,11 +200,11 @@ def test_the_back_of_what_photos_saw_sends_nothing_known():
 
 def test_gather_averages_linear_colours_by_cell():
     mesh = quads([square()])
-    # two pixels in one cell and one in another; then a second photo from below
+    # two pixels in one cell and one in another; then a second photo
     bary = np.array([(0.5, 0.2), (0.5, 0.202), (0.1, 0.8), (0.5, 0.2)])
     colour = np.array([(0.2, 0.5, 0.9), (0.6, 0.5, 0.1), (0.3, CLIPPED + 0.004, 0.3), (0.4, 0.4, 0.4)])
     cache = cache_of(mesh, [0, 0, 0, 0], bary, colour, [0, 3, 4])
-    points, seen = gather(cache, np.array([[0.5, 0.5, 2.0], [0.5, 0.5, -2.0]]))
+    points, seen = gather(cache, np.array([[0.5, 0.5, 2.0], [0.6, 0.4, 2.0]]))
     assert len(points) == 2 and (points.point_of_cell >= 0).sum() == 2
     uvs = np.column_stack([bary.sum(axis=1), bary[:, 1]]) * CHART / SIDE
     first, other = points.at(uvs)[[0, 2]]

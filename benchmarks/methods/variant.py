@@ -3,9 +3,10 @@
     python benchmarks/methods/variant.py '{"schedule.steps": 250}' recover SCENE --irradiance field --out DIR
 
 is `dante-w recover SCENE --irradiance field --out DIR` with 250 steps. A change is a field of `Preset`, dotted where it
-lies deeper, or one of two things that are no setting of the product:
+lies deeper, or one of three things that are no setting of the product:
 
     ray_fraction: a random part of the traced samples, (0, 1], is all that the fit gets to see
+    cache_share: part of the free memory that the ray cache may fill, [0, 1]; 0 puts it into files
     decoder_precision: "bfloat16" runs the decoders' matrix products so while fitting, not in the bake
 """
 
@@ -23,6 +24,7 @@ from dante_w import cli, recover_field, stages
 from dante_w.errors import BAD_INPUT
 from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.presets import PRESETS, Preset
+from dante_w.rays import ray_cache
 from dante_w.rays.ray_cache import RayCache
 from torch import nn
 
@@ -31,7 +33,7 @@ FOLLOWERS: dict[str, tuple[str, Callable[[int], int]]] = {
     "schedule.steps": ("final_pass.steps", lambda steps: steps // 4),
     "schedule.batch": ("final_pass.batch", lambda batch: batch),
 }
-RAY_FRACTION, DECODER_PRECISION = OUTSIDE = ("ray_fraction", "decoder_precision")
+RAY_FRACTION, CACHE_SHARE, DECODER_PRECISION = OUTSIDE = ("ray_fraction", "cache_share", "decoder_precision")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -55,6 +57,7 @@ def install(changes: Mapping[str, Any]) -> None:
     """
     changed = {name: altered(preset, changes) for name, preset in PRESETS.items()}
     PRESETS.update(changed)
+    ray_cache.SHARE_OF_MEMORY = changes.get(CACHE_SHARE, ray_cache.SHARE_OF_MEMORY)
     fraction = changes.get(RAY_FRACTION, 1.0)
     if fraction < 1.0:
         trace = stages.trace
@@ -74,6 +77,9 @@ def altered(preset: Preset, changes: Mapping[str, Any]) -> Preset:
         if name == RAY_FRACTION:
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= 1.0:
                 raise ValueError(f"{name} is {value!r} and must be above 0 and at most 1")
+        elif name == CACHE_SHARE:
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+                raise ValueError(f"{name} is {value!r} and must be from 0 to 1")
         elif name == DECODER_PRECISION:
             if value not in ("float32", "bfloat16"):
                 raise ValueError(f"{name} is {value!r} and must be float32 or bfloat16")

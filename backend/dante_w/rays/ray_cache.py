@@ -9,6 +9,7 @@ surface are neighbours in memory.
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ import torch
 from dante_w.errors import BadInput
 from dante_w.jit import njit_fast
 from dante_w.rays.edges import edge_distances
+from dante_w.rays.levels import levelled
 from dante_w.rays.raycast import Frame3D, Hits, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import Photo, read_photo
@@ -29,8 +31,12 @@ from dante_w.scene.scene_folder import Frame
 
 #: Surfaces seen at a flatter angle than this cosine are left out: their pixels smear over many texels.
 GRAZING = 0.1
+#: Footprints are at least this, a quarter of the finest texel: a camera may touch the surface.
+LEAST_FOOTPRINT = 2.0**-16
 #: The largest finite half; brighter encoded values are stored as this.
 HALF_MAX = 65504.0
+#: Part of the free memory that the cache may fill; a larger one lies in files.
+SHARE_OF_MEMORY = 1.0 / 3.0
 #: Pixels made into rays at once.
 PIXELS_AT_ONCE = 1 << 20
 #: Cells a side in which the finest footprint is noted.
@@ -44,6 +50,7 @@ _FIELDS = {
     "footprint": (np.float16, ()),
     "edge": (np.uint8, ()),
 }
+_PRIOR = {"prior": (np.float16, (3,))}
 
 
 @dataclass(frozen=True)
@@ -77,6 +84,9 @@ class RayCache:
 
     finest: (`CELLS`, `CELLS`) float32, the smallest footprint in each cell of the texture, infinite where no photo looks.
     A sample weighs (finest / footprint)^`SHARPNESS` there, so pixels from afar do not blur what closer ones tell.
+
+    level: (K,) log of what the linear colours of each photo were multiplied with; None: with nothing. It is not 0 for float
+    photos alone.
     """
 
     surface: Surface
@@ -88,16 +98,23 @@ class RayCache:
     footprint: np.ndarray | None = None
     finest: np.ndarray | None = None
     edge: np.ndarray | None = None
+    level: np.ndarray | None = None
 
     def __len__(self) -> int:
         return int(self.starts[-1])
+
+    def forget(self) -> None:
+        """Give back the memory of what was read from files; it is read again when it is asked for."""
+        for column in (self.face, self.bary, self.colour, self.prior, self.footprint, self.edge):
+            if isinstance(column, np.memmap) and hasattr(mmap, "MADV_DONTNEED"):
+                column._mmap.madvise(mmap.MADV_DONTNEED)  # type: ignore[attr-defined]
 
     def samples(self, index: np.ndarray, device: torch.device) -> Samples:
         """The samples at `index` (N,), on `device`."""
         photo = np.searchsorted(self.starts, index, side="right") - 1
         uv, position = torch.empty(len(index), 2), torch.empty(len(index), 3)
         corners = self.surface.uvs.numpy(), self.surface.positions.numpy()
-        _on_surface(self.face[index], self.bary[index], *corners, uv.numpy(), position.numpy())
+        on_surface(self.face[index], self.bary[index], *corners, uv.numpy(), position.numpy())
 
         def fetch(array: np.ndarray | None) -> torch.Tensor | None:
             return None if array is None else torch.from_numpy(array[index].astype(np.float32)).to(device)
@@ -117,7 +134,7 @@ class RayCache:
 
 
 @njit_fast
-def _on_surface(face, bary, uvs, positions, uv, position):  # type: ignore[no-untyped-def]
+def on_surface(face, bary, uvs, positions, uv, position):  # type: ignore[no-untyped-def]
     """Texture coordinates (N, 2) and positions (N, 3) from faces (N,), their stored weights (N, 2), and what the corners
     have, (F, 3, 2) and (F, 3, 3)."""
     unit = np.float32(1.0 / 65535.0)
@@ -173,26 +190,25 @@ def trace(
         frames: the photos; a frame's prior is used when it has one.
         visit: sees each photo's hits while they are at hand.
         progress: called with the fraction done.
-        spill: folder for the cache when it would fill more than a third of the free memory.
+        spill: folder for the cache when it would fill more than `SHARE_OF_MEMORY`.
 
     Raises:
         BadInput: a photo cannot be read, or no pixel sees the mesh.
     """
     assert mesh.uvs is not None
-    frame3d = Frame3D.of(mesh.vertices)
+    frame3d = Frame3D.around(mesh)
     caster = Raycaster(mesh, frame3d)
     corners = frame3d.normalise(mesh.vertices)[mesh.faces]
     fields = dict(_FIELDS)
     if any(frame.albedo for frame in frames):
-        fields["prior"] = (np.float16, (3,))
+        fields |= _PRIOR
     pixels = sum(frame.camera.width * frame.camera.height for frame in frames)
-    sample_bytes = sum(np.dtype(kind).itemsize * int(np.prod(shape)) for kind, shape in fields.values())
-    to_disk = pixels * sample_bytes > psutil.virtual_memory().available / 3
+    to_disk = pixels * sample_bytes("prior" in fields) > SHARE_OF_MEMORY * psutil.virtual_memory().available
     columns = {name: _Column(spill / name if to_disk else None, *fields[name]) for name in fields}
 
     face_normals, texels_per_length = face_geometry(corners, mesh.uvs)
     finest = np.full((CELLS, CELLS), np.inf, np.float32)
-    counts = []
+    counts, levels, looked = [], [], False
     with ThreadPoolExecutor(2) as readers:  # a photo or two ahead of the rays, no more in memory
         loading = [readers.submit(_read, frame) for frame in frames[:2]]
         for index, frame in enumerate(frames):
@@ -204,17 +220,25 @@ def trace(
             colour = photo.srgb.reshape(-1, 3)[pixel]
             columns["face"].append(face)
             columns["bary"].append(np.rint(bary * 65535.0))
-            columns["colour"].append(colour.clip(-HALF_MAX, HALF_MAX))
+            kept, level = levelled(colour) if photo.linear else (colour, 0.0)
+            columns["colour"].append(kept.clip(-HALF_MAX, HALF_MAX))
+            levels.append(level)
             columns["footprint"].append(footprint.clip(0.0, HALF_MAX))
             columns["edge"].append(edge)
             if "prior" in columns:
                 empty = np.full((len(pixel), 3), np.nan, np.float16)
                 columns["prior"].append(empty if prior is None else _prior_colours(prior, pixel))
             counts.append(len(pixel))
+            looked = looked or bool(photo.foreground.any())
             uv = _interpolate(mesh.uvs, face, bary)
             note_finest(uv, footprint.astype(np.float16).astype(np.float32), finest)
             visit(uv, footprint, colour)
             progress((index + 1) / len(frames))
+    if not looked:
+        raise BadInput(
+            f"{frames[0].image.parent}: all pixels of all photos are masked out or not finite numbers; check the photos "
+            "and their masks."
+        )
     if sum(counts) == 0:
         raise BadInput(
             f"{frames[0].image.parent}: no pixel sees the mesh; check that cameras and mesh share one "
@@ -233,7 +257,14 @@ def trace(
         arrays["footprint"],
         finest,
         arrays["edge"],
+        np.array(levels),
     )
+
+
+def sample_bytes(prior: bool) -> int:
+    """What a sample takes, with or without a prior."""
+    fields = _FIELDS | (_PRIOR if prior else {})
+    return sum(np.dtype(kind).itemsize * int(np.prod(shape)) for kind, shape in fields.values())
 
 
 class _Column:
@@ -265,6 +296,7 @@ def _read(frame: Frame) -> tuple[Photo, Photo | None]:
     if frame.albedo is None:
         return photo, None
     prior = read_photo(frame.albedo)
+    prior.srgb[~prior.foreground] = np.nan  # unknown, not black
     size = (frame.camera.width, frame.camera.height)
     return photo, Photo(_resize(prior.srgb, size), np.ones(size[::-1], bool))
 
@@ -303,7 +335,7 @@ def _trace_photo(
         hits = caster.cast(origin, rays)
         cosine, footprint = footprints(frame, rays[hits.ray], hits, face_normals, texels_per_length)
         depth[pixel[hits.ray]] = hits.distance
-        keep = cosine > GRAZING
+        keep = (cosine > GRAZING) & (texels_per_length[hits.face] > 0.0)  # what has no place on the texture
         parts.append((pixel[hits.ray[keep]], hits.face[keep], hits.bary[keep], footprint[keep]))
     if not parts:
         return (
@@ -327,7 +359,7 @@ def footprints(
     cosine = np.abs(np.einsum("ij,ij->i", rays, face_normals[hits.face])) / length
     # one pixel spans depth / focal length across the ray, and 1 / cosine more along the surface
     span = hits.distance * length / frame.camera.params[0] / np.maximum(cosine, GRAZING)
-    return cosine, span * texels_per_length[hits.face]
+    return cosine, np.maximum(span * texels_per_length[hits.face], LEAST_FOOTPRINT)
 
 
 def face_geometry(corners: np.ndarray, uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -342,6 +374,16 @@ def face_geometry(corners: np.ndarray, uvs: np.ndarray) -> tuple[np.ndarray, np.
     return cross / safe[:, None], np.sqrt(np.where(solid, uv_area / safe, 0.0))
 
 
-def _interpolate(corner_values: np.ndarray, face: np.ndarray, bary: np.ndarray) -> np.ndarray:
-    weights = np.column_stack([1.0 - bary.sum(axis=1), bary]).astype(np.float64)
-    return np.einsum("nc,ncd->nd", weights, corner_values[face])
+@njit_fast
+def _interpolate(corners, face, bary):  # type: ignore[no-untyped-def]
+    """(N, 2) float64 from what corners have, (F, 3, 2), at faces (N,) and weights (N, 2)."""
+    out = np.empty((len(face), 2))
+    for i in range(len(face)):
+        f, second, third = face[i], float(bary[i, 0]), float(bary[i, 1])
+        for d in range(2):
+            out[i, d] = (
+                (1.0 - second - third) * corners[f, 0, d]
+                + second * corners[f, 1, d]
+                + third * corners[f, 2, d]
+            )
+    return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -14,6 +14,8 @@ from dante_w.scene.mesh import Mesh
 
 #: Rays in one Embree call: enough to amortise it, few enough to spread over threads.
 CHUNK = 1 << 17
+#: Rays from further off than this, in sides of the unit cube, begin nearer: in float32 they would miss their pixels.
+FAR = 4.0
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,13 @@ class Frame3D:
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         extent = float((high - low).max()) or 1.0
         return cls((low + high) / 2.0 - extent / 2.0, extent)
+
+    @classmethod
+    def around(cls, mesh: Mesh) -> Frame3D:
+        """The frame of a mesh's triangles, whatever vertices it has beside."""
+        used = np.zeros(len(mesh.vertices), bool)
+        used[mesh.faces] = True
+        return cls.of(mesh.vertices[used])
 
     def normalise(self, points: np.ndarray) -> np.ndarray:
         """World points (..., 3) to the unit cube, float64."""
@@ -66,7 +75,13 @@ class Raycaster:
             origin: (3,) in the unit cube's frame; may lie outside of it.
             directions: (N, 3), any length; rays with a direction that is not finite hit nothing.
         """
-        return self.cast_from(np.broadcast_to(origin, directions.shape), directions)
+        away = float(np.linalg.norm(np.asarray(origin) - 0.5))
+        if away <= FAR:
+            return self.cast_from(np.broadcast_to(origin, directions.shape), directions)
+        # the cube lies within 0.9 of its centre, so nothing is met before
+        ahead = (away - 0.5 * FAR) / np.linalg.norm(directions, axis=1)
+        hits = self.cast_from(origin + ahead[:, None] * directions, directions)
+        return replace(hits, distance=hits.distance + ahead[hits.ray])
 
     def cast_from(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         """First hits of rays that each have an origin (N, 3) of their own; see `cast`."""
@@ -90,6 +105,17 @@ class Raycaster:
             return Hits(empty, empty, np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
         fields = ("ray", "face", "bary", "distance")
         return Hits(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
+
+    def first(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Face (N,), -1 for none, and barycentric weights (N,) of its second and third corner, where rays, float32 (N, 3),
+        first hit. Runs in the caller's thread, without the GIL: for callers who have threads of their own."""
+        found = self._cast(origins, directions)
+        return found["primID"], found["u"], found["v"]
+
+    def blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(N,) bool: whether rays, float32 (N, 3), hit anything; otherwise as `first`."""
+        found: np.ndarray = self._scene.run(origins, directions, query="OCCLUDED")
+        return found >= 0
 
     def _cast(self, origins: np.ndarray, directions: np.ndarray) -> dict[str, np.ndarray]:
         found: dict[str, np.ndarray] = self._scene.run(origins, directions, query="INTERSECT", output=True)

@@ -19,12 +19,14 @@ from dante_w.texture.average import PhotoAverage
 from dante_w.traced import robust
 from dante_w.traced.gloss import sheen
 from dante_w.traced.lights import ABSOLUTE, Lights
-from dante_w.traced.shading_points import Observations, ShadingPoints, face_normals, located
+from dante_w.traced.shading_points import Observations, ShadingPoints, face_normals, located, view
 from dante_w.traced.transfer import Transfer
 
 #: Albedo is physically below 1; noise in the dark is not.
 HIGHEST = 2.0
 DARKEST = 1e-4
+#: The light of a point says nothing of a pixel whose face turns from it by this cosine or less: that is the other side.
+OTHER_FACE = -0.5
 #: What is shown is taken to be diffuse by this share at least, for its logarithm.
 LEAST_DIFFUSE = 0.1
 
@@ -52,19 +54,15 @@ def albedo_texture(
     normals = face_normals(cache.surface.positions.numpy())
     mean = PhotoAverage(size, size)
     photos = len(cache.starts) - 1
-    gloss = np.zeros_like(seen.colour)
-    if glossy:
-        gloss = _sheen(seen, points, transfer, lights, cameras)
-    trust = (
-        _trust(seen, len(points), transfer, lights, gloss) if weights.outlier else np.ones(len(seen.point))
-    )
+    lit = lights.irradiance(transfer)
     told = np.bincount(seen.point, ~seen.clipped, len(points)) > 0
-    ends = np.searchsorted(seen.photo, np.arange(photos + 1))
+    most = robust.consensus(*_opinions(seen, points, transfer, lights, lit, cameras, glossy))
     for photo in range(photos):
         part = slice(cache.starts[photo], cache.starts[photo + 1])
         face, uv, place = located(cache, part)
         point, light = points.at(uv), lights.light[photo]
-        row = ends[photo] + np.searchsorted(seen.point[ends[photo] : ends[photo + 1]], point)
+        own, row = view(cache, points, photo, point, weights)
+        gloss = _sheen(own, points, transfer, lights, cameras, glossy)
         facing = normals[face]
         away = ((cameras[photo] - place) * facing).sum(axis=1, keepdims=True) < 0.0
         facing = np.where(away, -facing, facing)
@@ -73,7 +71,10 @@ def albedo_texture(
         srgb = np.asarray(cache.colour[part], np.float32)
         colour = linear_from_srgb_array(srgb)
         gain = np.float32(np.exp(lights.log_exposure[photo]))
-        weight = trust[row]
+        weight = np.where((facing * points.normal[point]).sum(axis=1) > OTHER_FACE, 1.0, 0.0)
+        if weights.outlier:
+            log_albedo, noise = _log_albedo(own, lights, lit, gloss)
+            weight = weight * robust.agreement(log_albedo, noise, own.point, most)[row]
         if weights.clipped:
             weight = weight * robust.clipped(srgb, told[point])
         if weights.dark:
@@ -83,14 +84,39 @@ def albedo_texture(
         diffuse = colour / gain - gloss[row]  # below 0 here and there: so the mean of dark surfaces is right
         albedo = np.clip(diffuse / np.maximum(irradiance, DARKEST), -HIGHEST, HIGHEST)
         mean.add(uv, albedo, weight, footprints[part] * size)
+        cache.forget()
         progress((photo + 1) / photos)
     return np.maximum(mean.resolve(), 0.0)
 
 
+def _opinions(
+    seen: Observations,
+    points: ShadingPoints,
+    transfer: Transfer,
+    lights: Lights,
+    lit: np.ndarray,
+    cameras: np.ndarray,
+    glossy: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """What the observations say of log albedo (M, 3), how much each counts (M,), its point and its light (M,)."""
+    log_albedo, noise = _log_albedo(
+        seen, lights, lit, _sheen(seen, points, transfer, lights, cameras, glossy)
+    )
+    weight = np.where(seen.clipped, 0.02, 1.0) / (1.0 + np.square(noise / robust.AGREED))
+    return log_albedo, weight, seen.point, lights.light[seen.photo]
+
+
 def _sheen(
-    seen: Observations, points: ShadingPoints, transfer: Transfer, lights: Lights, cameras: np.ndarray
+    seen: Observations,
+    points: ShadingPoints,
+    transfer: Transfer,
+    lights: Lights,
+    cameras: np.ndarray,
+    glossy: bool,
 ) -> np.ndarray:
     """(M, 3) what the observations owe to gloss, before exposure."""
+    if not glossy:
+        return np.zeros_like(seen.colour)
     towards = points.towards(seen.point, cameras[seen.photo])
     light = lights.light[seen.photo]
     return sheen(
@@ -98,17 +124,14 @@ def _sheen(
     )
 
 
-def _trust(
-    seen: Observations, points: int, transfer: Transfer, lights: Lights, gloss: np.ndarray
-) -> np.ndarray:
-    """(M,) how far the observations agree with those of other photos."""
-    light = lights.light[seen.photo]
+def _log_albedo(
+    seen: Observations, lights: Lights, lit: np.ndarray, gloss: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(M, 3) log albedo by each observation under irradiance `lit` (C, J, 3), and (M,) its standard deviation by noise."""
     shown = seen.colour / np.exp(lights.log_exposure[seen.photo, None]).astype(np.float32)
     diffuse = np.maximum(np.maximum(shown - gloss, LEAST_DIFFUSE * shown), DARKEST)
-    log_albedo = np.log(diffuse / lights.irradiance(transfer)[seen.point, light])
     noise = ABSOLUTE / np.maximum(seen.colour.mean(axis=1), DARKEST)
-    weight = np.where(seen.clipped, 0.02, 1.0) / (1.0 + np.square(noise / robust.AGREED))
-    return robust.outlier(log_albedo, weight, noise, seen.point, light)
+    return np.log(diffuse / lit[seen.point, lights.light[seen.photo]]), noise
 
 
 def _irradiance(

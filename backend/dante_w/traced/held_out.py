@@ -9,7 +9,7 @@ import numpy as np
 from dante_w.color import srgb_from_linear_array
 from dante_w.traced.gloss import sheen
 from dante_w.traced.lights import FAINTEST, OUTLIER, Lights, Parts
-from dante_w.traced.shading_points import SIDE, Observations, ShadingPoints
+from dante_w.traced.shading_points import Observations, ShadingPoints
 from dante_w.traced.transfer import Transfer
 
 #: Rows of cells that take turns in fitting and scoring.
@@ -35,19 +35,23 @@ def place(
     """
     light, exposure = lights.light.copy(), lights.log_exposure.copy()
     cell = np.flatnonzero(points.point_of_cell >= 0)
-    band = (cell // SIDE // BAND) % 2 == 0
+    level = seen.levels(len(light))
+    band = (cell // points.side // BAND) % 2 == 0
+    told = lights.albedo[:, None] * lights.irradiance(transfer)
+    ends = np.searchsorted(seen.photo, np.arange(len(light) + 1))
     squared, count = 0.0, 0
     for photo in photos:
-        rows = seen.of((seen.photo == photo) & lights.known[seen.point] & ~seen.clipped)
+        own = np.arange(ends[photo], ends[photo + 1])
+        rows = seen.of(own[lights.known[seen.point[own]] & ~seen.clipped[own]])
         fitted = band[rows.point]
         if not fitted.any():
             continue
-        shown = _shown(lights, points, transfer, rows, cameras[photo], parts)
+        shown = told[rows.point] + _gloss(lights, points, transfer, rows, cameras[photo], parts)
         off = np.log(np.maximum(rows.colour, FAINTEST))[:, None] - np.log(np.maximum(shown, FAINTEST))
         gain = (
             np.median(off[fitted], axis=(0, 2))
             if parts.exposures
-            else np.full(shown.shape[1], np.median(lights.log_exposure))
+            else np.full(shown.shape[1], level[photo] + np.median(lights.log_exposure - level))
         )
         cost = np.minimum(np.abs(off[fitted] - gain[:, None]), 2.0 * OUTLIER).mean(axis=(0, 2))
         light[photo] = int(cost.argmin())
@@ -60,7 +64,7 @@ def place(
     return replace(lights, light=light, log_exposure=exposure), score
 
 
-def _shown(
+def _gloss(
     lights: Lights,
     points: ShadingPoints,
     transfer: Transfer,
@@ -68,20 +72,17 @@ def _shown(
     camera: np.ndarray,
     parts: Parts,
 ) -> np.ndarray:
-    """(N, J, 3) linear colours of one photo's rows under each light, at an exposure of 1."""
+    """(N, J, 3) sheen of one photo's rows under each light, at an exposure of 1."""
     count, number = len(rows.point), len(lights.radiance)
-    shown = (lights.albedo[:, None] * lights.irradiance(transfer))[rows.point]
-    if parts.gloss:
-        towards = points.towards(rows.point, camera)
-        each = np.repeat(np.arange(number), count)
-        gloss = sheen(
-            np.tile(rows.point, number),
-            each,
-            np.tile(towards, (number, 1)),
-            points.normal,
-            transfer.directions,
-            transfer.visible,
-            lights.radiance,
-        )
-        shown = shown + gloss.reshape(number, count, 3).transpose(1, 0, 2)
-    return shown
+    if not parts.gloss:
+        return np.zeros((count, number, 3), np.float32)
+    gloss = sheen(
+        np.tile(rows.point, number),
+        np.repeat(np.arange(number), count),
+        np.tile(points.towards(rows.point, camera), (number, 1)),
+        points.normal,
+        transfer.directions,
+        transfer.visible,
+        lights.radiance,
+    )
+    return gloss.reshape(number, count, 3).transpose(1, 0, 2)

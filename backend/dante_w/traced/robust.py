@@ -62,33 +62,50 @@ def edge(distance: np.ndarray) -> np.ndarray:
     return (np.minimum(distance, NEAR_EDGE) + 0.25) / (NEAR_EDGE + 0.25)
 
 
-def outlier(
-    log_albedo: np.ndarray, weight: np.ndarray, noise: np.ndarray, point: np.ndarray, light: np.ndarray
-) -> np.ndarray:
-    """(M,) People, highlights, shadows of what is not in the mesh: what a photo says of a point against what most say.
+@dataclass(frozen=True)
+class Consensus:
+    """What most photos say of each of C points: `log_albedo` (C, 3), how far they usually are from it, `spread` (C,), and
+    whether they are too few to say anything, `few` (C,)."""
 
-    "Most" is the weighted median of all photos of the point; those that share a light share its errors, so n of them count
-    as the square root of n.
+    log_albedo: np.ndarray
+    spread: np.ndarray
+    few: np.ndarray
+
+
+def consensus(log_albedo: np.ndarray, weight: np.ndarray, point: np.ndarray, light: np.ndarray) -> Consensus:
+    """The weighted median of all photos of a point; those that share a light share its errors, so n of them count as the
+    square root of n.
 
     Args:
-        log_albedo: (M, 3) of the points as each photo has it. weight: (M,) how much it counts in the median.
-        noise: (M,) its standard deviation. point, light: (M,) indices.
+        log_albedo: (M, 3) of the points as each photo has it. weight: (M,) how much it counts.
+        point, light: (M,) indices.
     """
     if len(point) == 0:
-        return np.ones(0)
+        return Consensus(np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool))
     sound = np.isfinite(log_albedo).all(axis=1)
     values = np.where(sound[:, None], log_albedo, 0.0)
     lights = int(light.max()) + 1
     pair = point.astype(np.int64) * lights + light
     weight = np.where(sound, weight, 0.0) / np.sqrt(np.bincount(pair)[pair])
-    off = values - np.stack([medians(channel, weight, point) for channel in values.T], axis=1)[point]
+    middle = np.stack([medians(channel, weight, point) for channel in values.T], axis=1)
+    distance = np.sqrt(np.square(values - middle[point]).mean(axis=1))
+    spread = 1.4826 * medians(distance, weight, point)
+    return Consensus(middle, spread, np.bincount(point, weight > 0.0) < FEWEST)
+
+
+def agreement(log_albedo: np.ndarray, noise: np.ndarray, point: np.ndarray, most: Consensus) -> np.ndarray:
+    """(M,) People, highlights, shadows of what is not in the mesh: what a photo says of a point against what most say.
+
+    Args:
+        log_albedo: (M, 3) of the points (M,) as photos have it. noise: (M,) its standard deviation.
+    """
+    sound = np.isfinite(log_albedo).all(axis=1)
+    off = np.where(sound[:, None], log_albedo, 0.0) - most.log_albedo[point]
     distance = np.sqrt(np.square(off).mean(axis=1))
-    usual = 1.4826 * medians(distance, weight, point)[point]
     distance = np.where(off.mean(axis=1) > 0.0, BRIGHTER, 1.0) * distance
-    ratio = distance / (OUTLYING * np.sqrt(AGREED**2 + usual**2 + np.square(noise)))
+    ratio = distance / (OUTLYING * np.sqrt(AGREED**2 + most.spread[point] ** 2 + np.square(noise)))
     trust = 1.0 / np.square(1.0 + np.square(ratio))
-    few = np.bincount(point, weight > 0.0)[point] < FEWEST
-    return np.where(sound, np.where(few, 1.0, np.where(trust < LEAST, 0.0, trust)), 0.0)
+    return np.where(sound, np.where(most.few[point], 1.0, np.where(trust < LEAST, 0.0, trust)), 0.0)
 
 
 def medians(values: np.ndarray, weight: np.ndarray, group: np.ndarray) -> np.ndarray:

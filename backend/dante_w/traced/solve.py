@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dante_w.checkpoints import Checkpoints
 from dante_w.model.held_out import choose_held_out
 from dante_w.progress import Progress
 from dante_w.rays.ray_cache import RayCache
@@ -17,9 +18,9 @@ from dante_w.scene.scene_folder import Frame
 from dante_w.traced.albedo import albedo_texture
 from dante_w.traced.groups import first_groups
 from dante_w.traced.held_out import place
-from dante_w.traced.lights import KnownAlbedo, Parts, solve_lights
+from dante_w.traced.lights import KnownAlbedo, Lights, Parts, solve_lights
 from dante_w.traced.priors import known_albedo
-from dante_w.traced.shading_points import Observations, ShadingPoints, gather
+from dante_w.traced.shading_points import Observations, ShadingPoints, gather, thinned
 from dante_w.traced.transfer import Transfer, trace_transfer
 
 
@@ -37,11 +38,19 @@ class Traced:
     groups: np.ndarray
 
 
+@dataclass(frozen=True)
+class Placed:
+    """The lights of all photos, and the held-out photos' PSNR in dB under them, if it could be taken."""
+
+    lights: Lights
+    score: float | None
+
+
 def examine(
     cache: RayCache, mesh: Mesh, frames: list[Frame], directions: int, prior_weight: float, progress: Progress
 ) -> Traced:
     """Average the photos over shading points and trace light between them."""
-    frame3d = Frame3D.of(mesh.vertices)
+    frame3d = Frame3D.around(mesh)
     cameras = frame3d.normalise(np.stack([frame.camera_to_world[:3, 3] for frame in frames]))
     progress.update("transfer", 0.0, 1.0)
     points, seen = gather(cache, cameras)
@@ -55,6 +64,9 @@ def examine(
     prior = known_albedo(cache, points, prior_weight) if prior_weight > 0.0 else None
     exposures = log_exposures([frame.image for frame in frames])
     groups = first_groups(seen, len(points), len(frames))
+    seen = seen.of(
+        thinned(seen.point, seen.photo)
+    )  # from here on, photos need not be compared with each other
     return Traced(cameras, points, seen, transfer, prior, exposures, groups)
 
 
@@ -65,6 +77,7 @@ def recover_albedo(
     parts: Parts,
     seed: int,
     progress: Progress,
+    kept: Checkpoints | None = None,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """The albedo (size, size, 3), float32 and linear, and facts for the report.
 
@@ -75,19 +88,24 @@ def recover_albedo(
     photos = len(of.cameras)
     progress.update("lights", 0.0, 1.0)
     held_out = choose_held_out(photos)
-    lights = solve_lights(
-        of.points,
-        of.transfer,
-        of.seen.of(~np.isin(of.seen.photo, held_out)),
-        of.cameras,
-        of.groups,
-        seed,
-        lambda step, steps: progress.update("lights", step, steps),
-        parts,
-        of.prior,
-        of.exposures,
-    )
-    lights, score = place(lights, of.points, of.transfer, of.seen, of.cameras, held_out, parts)
+
+    def solve() -> Placed:
+        lights = solve_lights(
+            of.points,
+            of.transfer,
+            of.seen.of(~np.isin(of.seen.photo, held_out)),
+            of.cameras,
+            of.groups,
+            seed,
+            lambda step, steps: progress.update("lights", step, steps),
+            parts,
+            of.prior,
+            of.exposures,
+        )
+        return Placed(*place(lights, of.points, of.transfer, of.seen, of.cameras, held_out, parts))
+
+    placed = kept.done("lights", Placed, solve) if kept else solve()
+    lights = placed.lights
     texture = albedo_texture(
         cache,
         cache.footprint,
@@ -104,5 +122,5 @@ def recover_albedo(
         "parts": asdict(parts),
         "lights": [int(light) for light in lights.light],
         "shading_points": len(of.points),
-        "held_out_psnr": score,
+        "held_out_psnr": placed.score,
     }

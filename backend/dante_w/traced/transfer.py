@@ -8,13 +8,15 @@ from everywhere an open point has T . L = 1. Where a ray meets the mesh instead,
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import prange
 
-from dante_w.jit import njit_parallel
+from dante_w.jit import njit_fast, njit_parallel
 from dante_w.rays.raycast import Raycaster
 from dante_w.traced.shading_points import ShadingPoints
 
@@ -26,8 +28,8 @@ BELOW = -0.3
 RAYS_PER_DIRECTION = 9
 #: One in this many of those rays brings bounced light, which is soft and costs memory.
 BOUNCED_ONE_IN = 3
-#: Rays cast at once.
-RAYS = 1 << 19
+#: Rays cast at once, by one thread.
+RAYS = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -72,45 +74,97 @@ def trace_transfer(
     directions = sphere(count).astype(np.float32)
     rays = sphere(count * RAYS_PER_DIRECTION).astype(np.float32)
     part_of = (rays @ directions.T).argmax(axis=1)
-    share = np.float32(4.0 / len(rays))
-    visible = np.zeros((len(points), count), np.float32)
-    direct = np.zeros((len(points), count), np.float32)
-    lost = np.zeros(len(points), np.float32)
-    rows, sources, weights = [], [], []
-    membership = np.zeros((len(rays), count), np.float32)
-    membership[np.arange(len(rays)), part_of] = 1.0
+    many = len(points)
+    visible, direct = np.zeros((many, count), np.float32), np.zeros((many, count), np.float32)
+    lost = np.zeros(many, np.float32)
     step = max(RAYS // len(rays), 1)
-    for start in range(0, len(points), step):
-        part = slice(start, min(start + step, len(points)))
-        cosine = points.normal[part] @ rays.T
-        row, ray = np.nonzero(cosine > BELOW)
-        point = row + start
-        hits = caster.cast_from(points.position[point] + LIFT * points.normal[point], rays[ray])
-        free = np.zeros(cosine.shape, np.float32)
-        free[row, ray] = 1.0
-        free[row[hits.ray], ray[hits.ray]] = 0.0
-        visible[part] = free @ membership
-        direct[part] = (share * np.maximum(cosine, 0.0) * free) @ membership
 
-        few = ray[hits.ray] % BOUNCED_ONE_IN == BOUNCED_ONE_IN // 2
-        at = hits.ray[few]
-        amount = BOUNCED_ONE_IN * share * np.maximum(cosine[row[at], ray[at]], 0.0)
-        bary = hits.bary[few]
-        corner = np.column_stack([1.0 - bary.sum(axis=1), bary])[:, None, :]
-        source = points.at((corner @ uvs[hits.face[few]])[:, 0])
-        front = np.einsum("ij,ij->i", points.normal[source], rays[ray[at]]) < 0.0
-        known = (source >= 0) & front & (amount > 0.0)
-        lost += np.bincount(point[at], np.where(known, 0.0, amount), len(points)).astype(np.float32)
-        rows.append(point[at][known])
-        sources.append(source[known])
-        weights.append(amount[known])
-        progress(part.stop / len(points))
-    row = np.concatenate(rows)
-    first = np.searchsorted(row, np.arange(len(points) + 1)).astype(np.int64)
-    visible /= np.maximum(membership.sum(axis=0), 1.0)
-    return Transfer(
-        directions, visible, direct, first, np.concatenate(sources), np.concatenate(weights), lost
-    )
+    def block(start: int) -> tuple[np.ndarray, ...]:
+        part = slice(start, min(start + step, many))
+        return _trace(points, part, caster, uvs, rays, part_of, visible[part], direct[part], lost[part])
+
+    bounces = []
+    with ThreadPoolExecutor(
+        os.cpu_count()
+    ) as threads:  # arrays are made and summed up in parallel, not only rays cast
+        for done, bounce in enumerate(threads.map(block, range(0, many, step))):
+            bounces.append(bounce)
+            progress(min((done + 1) * step / many, 1.0))
+    point, source, weight = (np.concatenate(column) for column in zip(*bounces, strict=True))
+    first = np.searchsorted(point, np.arange(many + 1)).astype(np.int64)
+    visible /= np.maximum(np.bincount(part_of, minlength=count), 1).astype(np.float32)
+    return Transfer(directions, visible, direct, first, source, weight, lost)
+
+
+def _trace(
+    points: ShadingPoints,
+    part: slice,
+    caster: Raycaster,
+    uvs: np.ndarray,
+    rays: np.ndarray,
+    part_of: np.ndarray,
+    visible: np.ndarray,
+    direct: np.ndarray,
+    lost: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Trace `rays` from some of the points, in one thread: adds up their rows of `visible`, `direct` and `lost`, and returns
+    point, source and weight of the rays that bring bounced light, in the points' order."""
+    position, normal = points.position[part], points.normal[part]
+    # where bounced light comes from has to be known; of other rays, only whether they meet anything
+    bears = np.arange(len(rays)) % BOUNCED_ONE_IN == BOUNCED_ONE_IN // 2
+    room = len(position) * len(rays)
+    origin, way = np.empty((room, 3), np.float32), np.empty((room, 3), np.float32)
+    row, ray, facing = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.float32)
+    bearers, others = _aim(position, normal, rays, bears, origin, way, row, ray, facing)
+    face, second, third = caster.first(origin[:bearers], way[:bearers])
+    share = np.float32(4.0 / len(rays))
+    for some, hit in (
+        (slice(bearers), face >= 0),
+        (slice(room - others, room), caster.blocked(origin[room - others :], way[room - others :])),
+    ):
+        _add_up(row[some], ray[some], part_of, facing[some], hit, share, visible, direct)
+
+    hit = np.flatnonzero(face >= 0)
+    row, ray, face = row[hit], ray[hit], face[hit]
+    amount = BOUNCED_ONE_IN * share * facing[hit]
+    bary = np.stack([second[hit], third[hit]], axis=1)
+    corner = np.column_stack([1.0 - bary.sum(axis=1), bary])[:, None, :]
+    source = points.at((corner @ uvs[face])[:, 0])
+    known = (source >= 0) & (np.einsum("ij,ij->i", points.normal[source], rays[ray]) < 0.0)
+    lost += np.bincount(row, np.where(known, 0.0, amount), len(lost)).astype(np.float32)
+    return row[known].astype(np.int64) + part.start, source[known], amount[known]
+
+
+@njit_fast
+def _aim(position, normal, rays, bears, origin, way, row, ray, facing):  # type: ignore[no-untyped-def]
+    """Fill in the rays (N, 3) to trace from points, and what belongs to them: those that bear light from the front of the
+    arrays, the others from their end. Returns how many there are of either."""
+    front, back = 0, len(row)
+    for i in range(len(position)):
+        for d in range(len(rays)):
+            cosine = normal[i, 0] * rays[d, 0] + normal[i, 1] * rays[d, 1] + normal[i, 2] * rays[d, 2]
+            if cosine <= np.float32(BELOW):
+                continue
+            if bears[d] and cosine > np.float32(0.0):
+                at = front
+                front += 1
+            else:
+                back -= 1
+                at = back
+            for axis in range(3):
+                origin[at, axis] = position[i, axis] + np.float32(LIFT) * normal[i, axis]
+                way[at, axis] = rays[d, axis]
+            row[at], ray[at], facing[at] = i, d, cosine
+    return front, len(row) - back
+
+
+@njit_fast
+def _add_up(row, ray, part_of, facing, hit, share, visible, direct):  # type: ignore[no-untyped-def]
+    for i in range(len(row)):
+        if not hit[i]:
+            part = part_of[ray[i]]
+            visible[row[i], part] += np.float32(1.0)
+            direct[row[i], part] += share * max(facing[i], np.float32(0.0))
 
 
 def coarser(transfer: Transfer, count: int) -> tuple[Transfer, np.ndarray]:
