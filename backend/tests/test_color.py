@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 def test_values_of_the_standard():
     linear = torch.tensor([0.0, 0.0031308, 0.18, 0.5, 1.0], dtype=torch.float64)
     expected = torch.tensor([0.0, 0.04044994, 0.46135613, 0.73535698, 1.0], dtype=torch.float64)
-    torch.testing.assert_close(srgb_from_linear(linear), expected, atol=2e-8, rtol=0.0)
+    torch.testing.assert_close(srgb_from_linear(linear), expected, atol=4e-8, rtol=0.0)
 
 
 def test_every_8_bit_value_survives():

@@ -91,14 +91,16 @@ class SphereSamples:
         return Samples(self._photo[chosen].to(device), *columns, prior=None)
 
 
-def write_photos(folder: Path, mesh: Mesh, side: int, count: int) -> list[Frame]:
-    """Write `count` different JPEG photos of side x side pixels into `folder`; returns their frames."""
+def write_photos(folder: Path, mesh: Mesh, side: int, count: int, lights: int | None = None) -> list[Frame]:
+    """Write `count` different JPEG photos of side x side pixels into `folder`; returns their frames. Each is under
+    one of as many `lights`, drawn at random; by default under a light of its own."""
     camera = Camera("PINHOLE", side, side, (FOCAL * side, FOCAL * side, side / 2, side / 2))
     frame3d = Frame3D.of(mesh.vertices)
     caster = Raycaster(mesh, frame3d)
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    light_of = np.arange(count) if lights is None else np.random.default_rng(0).integers(lights, size=count)
     frames = []
     for index in range(count):
         frame = Frame(folder / "photos" / f"{side}_{index:03}.jpg", camera, pose(index, count))
@@ -110,7 +112,7 @@ def write_photos(folder: Path, mesh: Mesh, side: int, count: int) -> list[Frame]
             hits = caster.cast(origin, directions(camera, centres) @ frame.camera_to_world[:3, :3].T)
             weights = np.column_stack([1.0 - hits.bary.sum(axis=1), hits.bary])
             uv = np.einsum("nc,ncd->nd", weights, mesh.uvs[hits.face])  # type: ignore[index]
-            linear = albedo_at(uv) * light_at(normals[hits.face], index)
+            linear = albedo_at(uv) * light_at(normals[hits.face], int(light_of[index]))
             photo[pixel[hits.ray]] = srgb_from_linear(linear).clip(0.0, 1.0)
         write(frame.image, photo.reshape(side, side, 3))
         frames.append(frame)
