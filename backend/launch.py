@@ -9,6 +9,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from dante_w.cli import main
+from dante_w.guard import main
 
 sys.exit(main())

@@ -1,5 +1,5 @@
 import sys
 
-from dante_w.cli import main
+from dante_w.guard import main
 
 sys.exit(main())

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
-import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
-from dante_w import __version__
+from dante_w import __version__, distributed
 from dante_w.errors import BAD_INPUT, DONE
 from dante_w.job import run
 
@@ -17,17 +18,20 @@ from dante_w.job import run
 PARTS = ("groups", "exposures", "bounce", "gloss")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse, run, and return the exit code."""
-    options = _parser().parse_args(arguments)
+def main(arguments: Sequence[str] | None = None, leave: Callable[[int], Any] = os._exit) -> int:
+    """Parse, run, and return the exit code, or call `leave` with it, see `job.run`."""
+    options = parse(arguments)
     if options.command == "doctor":
         from dante_w.doctor import examine
 
         print(json.dumps(examine()) if options.json else "\n".join(f"{k}: {v}" for k, v in examine().items()))
         return DONE
-    if options.command == "plan":
-        options.out, options.known = Path(tempfile.mkdtemp(prefix="dante-w-")), []
-    return run(options.command, options)
+    return run(options.command, options, leave)
+
+
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """The options of a command line; raises SystemExit where it makes no sense."""
+    return _parser().parse_args(arguments)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -78,12 +82,16 @@ def _parser() -> argparse.ArgumentParser:
         "--device",
         choices=("auto", "cpu", "cuda", "mps"),
         default="auto",
-        help="of the paper's field; traced light runs on the CPU",
+        help="for --irradiance field (auto: a GPU if one works); traced light always runs on the CPU",
+    )
+    recover.add_argument(
+        "--resume", action="store_true", help="go on from where a killed run of the same got to"
     )
     recover.add_argument("--keep-held-out", action="store_true", help="never fit to the held-out photos")
     ablations = recover.add_argument_group("ablations of the paper")
     ablations.add_argument("--no-photometric", action="store_true", help="lift the priors only (w/o PR)")
     ablations.add_argument("--equal-bands", action="store_true", help="irradiance as fine as albedo")
+    plan.set_defaults(known=[], out=None)
     for command in (recover, average, plan, doctor):
         command.add_argument("--json", action="store_true", help="one JSON object a line")
     return parser
@@ -103,7 +111,7 @@ class _Known(argparse.Action):
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str):  # type: ignore[no-untyped-def]
-        if "--json" in sys.argv:
+        if "--json" in sys.argv and distributed.rank() == 0:
             print(json.dumps({"stage": "error", "code": BAD_INPUT, "message": message}), flush=True)
         super().error(message)
 

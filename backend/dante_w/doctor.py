@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import psutil
@@ -12,6 +12,7 @@ import torch
 
 from dante_w import __version__
 from dante_w.device import failure, pick_device
+from dante_w.model import triton_grid
 
 PACKAGES = ("torch", "numpy", "numba", "OpenImageIO", "xatlas", "embreex", "pycolmap", "psutil")
 
@@ -31,10 +32,18 @@ def examine() -> dict[str, Any]:
     }
     if device.type == "cuda":
         free, total = torch.cuda.mem_get_info()
+        found["triton"] = triton_grid.failure() or "works"
         found.update(gpu_memory_gib=round(total / 2**30, 1), free_gpu_memory_gib=round(free / 2**30, 1))
     return found | library_versions()
 
 
 def library_versions() -> dict[str, str]:
     """Versions of Python and of the pinned packages."""
-    return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
+    return {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

@@ -19,3 +19,9 @@ class OutOfRoom(DanteError):
     """Memory or disk ran out."""
 
     exit_code = OUT_OF_ROOM
+
+
+class Cancelled(DanteError):
+    """Whoever asked for the result is gone."""
+
+    exit_code = CANCELLED

@@ -103,7 +103,7 @@ def measure(
     chosen = [frames[(2 * i + 1) * len(frames) // (2 * count)] for i in range(count)]
     photos, reading = _timed(lambda: [_read(frame) for frame in chosen])
     read = sum(map(_pixels, chosen))
-    frame3d = Frame3D.of(mesh.vertices)
+    frame3d = Frame3D.around(mesh)
     caster, building = _timed(lambda: Raycaster(mesh, frame3d))
     cache, ray = _cast(chosen, photos, mesh, caster, frame3d)
     fit_seconds, texels = _fit(cache, fitting, texture.side) if fitting else ((0.0, 0.0, 0.0), _grey)
@@ -172,7 +172,17 @@ def _fit(cache: RayCache, fitting: Fitting, texture_size: int) -> tuple[tuple[fl
     def step_seconds(batch: int, parameters: list[torch.nn.Parameter] | None) -> float:
         ends.clear()
         with contextlib.suppress(_EnoughError):
-            fit(model, cache, ranges, fitting.terms, Schedule(1 + STEPS, batch), 0, step_done, parameters)
+            fit(
+                model,
+                cache,
+                ranges,
+                fitting.terms,
+                Schedule(1 + STEPS, batch),
+                0,
+                step_done,
+                parameters,
+                shared=False,
+            )
         return float(np.median(np.diff(ends)))
 
     seconds = step_seconds(fitting.batch, None), step_seconds(SCHEDULE.batch, model.photo_parameters())

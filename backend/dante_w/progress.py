@@ -5,6 +5,7 @@ The time left is the present stage's, at its measured pace, plus what the later 
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import sys
@@ -12,6 +13,8 @@ import threading
 import time
 from collections.abc import Mapping
 from typing import Any
+
+from dante_w.errors import Cancelled
 
 #: A line at least this often, so that a reader can tell slow from dead.
 HEARTBEAT_SECONDS = 1.0
@@ -79,9 +82,18 @@ class Progress:
             self.write()
 
     def say(self, event: Mapping[str, Any]) -> None:
-        """Print one JSON line."""
-        with self._lock:
-            print(json.dumps(event, allow_nan=False), flush=True)
+        """Print one JSON line.
+
+        Raises:
+            Cancelled: nobody reads any more.
+        """
+        try:
+            with self._lock:
+                print(json.dumps(event, allow_nan=False), flush=True)
+        except OSError as error:
+            if error.errno not in (errno.EPIPE, errno.EINVAL):  # the second is Windows'
+                raise
+            raise Cancelled("Cancelled: nobody reads the progress any more.") from error
 
     def _seconds_left(self, now: float, done: float) -> float | None:
         later, found = 0.0, False

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dante_w import distributed
 from dante_w.color import linear_from_srgb_array
 from dante_w.errors import BadInput
 from dante_w.model.presets import PRESETS
@@ -42,7 +43,7 @@ def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> d
         )
     if options.irradiance == "field" or papers:
         return recover_field(options, staging, progress)
-    return recover_traced(options, staging, progress)
+    return recover_traced(options, staging, progress) if distributed.rank() == 0 else {}
 
 
 def average(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,9 +13,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from dante_w import distributed
+from dante_w.checkpoints import Checkpoints, open_checkpoints
 from dante_w.device import pick_device
 from dante_w.errors import BadInput, DanteError
 from dante_w.expectation import QUALITY, Expectation, Work, predict
+from dante_w.model.divergence import Course, Setback
 from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.gauge import albedo_gain, start_exposures
 from dante_w.model.held_out import choose_held_out, held_out_psnr
@@ -30,18 +34,22 @@ from dante_w.stages import (
     TEXEL_TYPES,
     bake_files,
     begin,
+    check_exposed,
     known_gain,
+    look,
     pixels,
     prepare,
-    trace_rays,
     write_report,
 )
-from dante_w.texture.coverage import empty_coverage, mark
+
+#: A fit that leaves more than this part of the loss that it began with, and more than this loss, has told nothing.
+TOLD_NOTHING, LITTLE = 0.9, 0.05
 
 
 def recover_field(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
     """The paper's model: both fields fitted by gradient descent."""
     device = pick_device(options.device)
+    distributed.join(device)
     preset = PRESETS[options.preset]
     spec = equal_bands(preset.model) if options.equal_bands else preset.model
     size = options.texture_size or preset.texture_size
@@ -54,19 +62,16 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
     held_out = choose_held_out(len(scene.frames))
     fitting = Fitting(spec, terms, preset.schedule.batch, device)
     expected = _expect(options, scene, mesh, held_out, size, fitting, staging, progress)
-    coverage = empty_coverage(size, size)
-
-    def visit(uv: np.ndarray, footprint: np.ndarray, _: np.ndarray) -> None:
-        mark(coverage, uv, footprint * size)
-
-    cache = trace_rays(scene, mesh, visit, staging, progress)
+    kept = open_checkpoints(options, scene, mesh)
+    seen = look(scene, mesh, size, kept, staging, progress)
+    cache, coverage = seen.cache, seen.coverage
+    if terms.photometric:
+        check_exposed(scene, cache)
     everything = photo_ranges(cache, np.arange(len(scene.frames)))
     spec = spec if options.preset == "paper" else sized(spec, size, cache)
-    model, score = _fit(cache, spec, terms, options, device, held_out, progress)
-    if not all(bool(torch.isfinite(parameter).all()) for parameter in model.parameters()):
-        raise DanteError(
-            "The fit diverged, so there is no texture; run again with another --seed or --lambda."
-        )
+    model, score, setbacks = _fit(cache, spec, terms, options, device, held_out, progress, kept)
+    if distributed.rank() > 0:
+        return {}
     progress.update("bake", 0.0, 1.0)
     gain = torch.ones(3) if use_prior else albedo_gain(model, cache, everything, options.seed).cpu()
 
@@ -76,7 +81,7 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
         return (albedo * gain).clamp(0.0, 1.0).numpy()
 
     known = known_gain(texels, coverage, options.known)
-    seen = bake_files(
+    covered = bake_files(
         lambda uv: np.minimum(texels(uv) * known, 1.0), mesh, coverage, options.format, staging, progress
     )
     return write_report(
@@ -90,8 +95,10 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
         priors=sum(frame.albedo is not None for frame in scene.frames),
         held_out_photos=[scene.frames[i].image.name for i in held_out],
         held_out_psnr=score,
+        setbacks={stage: [dataclasses.asdict(each) for each in found] for stage, found in setbacks.items()},
         albedo_gain=[round(float(g), 4) for g in gain.numpy() * known],
-        coverage=seen,
+        coverage=covered,
+        resumed=kept.resumed,
         texture_size=size,
         expected=expected,
     )
@@ -137,8 +144,14 @@ def _fit(
     device: torch.device,
     held_out: np.ndarray,
     progress: Progress,
-) -> tuple[Model, float | None]:
-    """Fit without the held-out photos, score on them, then fit on with all photos; returns model and PSNR."""
+    kept: Checkpoints,
+) -> tuple[Model, float | None, dict[str, list[Setback]]]:
+    """Fit without the held-out photos, score on them, then fit on with all photos; returns model, PSNR, and the stages'
+    setbacks.
+
+    Raises:
+        DanteError: the fit does not come to anything.
+    """
     photos = np.arange(len(cache.starts) - 1)
     preset, seed = PRESETS[options.preset], options.seed
 
@@ -153,12 +166,27 @@ def _fit(
     training = photo_ranges(cache, np.setdiff1d(photos, held_out))
     if len(training) == 0:
         held_out, training = held_out[:0], photo_ranges(cache, photos)
-    fit(model, cache, training, terms, preset.schedule, seed, report("optimise"))
+    course = fit(model, cache, training, terms, preset.schedule, seed, report("optimise"), None, kept, "fit")
+    _check(course)
+    setbacks = {"optimise": course.setbacks}
     if len(held_out) == 0:
-        return model, None
-    score = held_out_psnr(model, cache, held_out, seed, report("held-out")) if terms.photometric else None
+        return model, None, setbacks
+    score = None
+    if terms.photometric:
+        score, setbacks["held-out"] = held_out_psnr(model, cache, held_out, seed, report("held-out"))
     if not options.keep_held_out:
         everything = photo_ranges(cache, photos)
         progress.update("final pass", 0, preset.final_pass.steps)
-        fit(model, cache, everything, terms, preset.final_pass, seed + 1, report("final pass"))
-    return model, score
+        schedule = preset.final_pass
+        course = fit(
+            model, cache, everything, terms, schedule, seed + 1, report("final pass"), None, kept, "final fit"
+        )
+        setbacks["final pass"] = course.setbacks
+    return model, score, setbacks
+
+
+def _check(course: Course) -> None:
+    if not math.isfinite(course.last) or course.last > max(TOLD_NOTHING * course.first, LITTLE):
+        raise DanteError(
+            "The fit diverged or told nothing, so there is no texture; run again with another --seed or --lambda."
+        )

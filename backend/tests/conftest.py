@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from dante_w.color import srgb_from_linear_array
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import write_png
 from dante_w.scene.scene_folder import Camera
+
+if not torch.cuda.is_available():
+    os.environ["TRITON_INTERPRET"] = "1"  # before triton is first imported: its kernels then run on the CPU
 
 CAMERA = Camera("PINHOLE", 48, 36, (60.0, 60.0, 24.0, 18.0))
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"

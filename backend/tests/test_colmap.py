@@ -7,6 +7,8 @@ import pycolmap
 import pytest
 from dante_w.errors import BadInput
 from dante_w.scene.colmap import is_colmap, read_colmap
+from dante_w.scene.images import write_png
+from dante_w.scene.load import load_scene
 from dante_w.scene.scene_folder import Camera
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -201,3 +203,43 @@ def test_damaged_models_read_or_are_refused(tmp_path, written, kind):
             assert frame.image.is_relative_to(tmp_path.resolve() / "images")
 
     check()
+
+
+def test_links_that_lead_out_are_refused_unless_the_user_names_their_place(tmp_path):
+    parent, outside = tmp_path / "scene", tmp_path / "outside"
+    parent.mkdir(), outside.mkdir()
+    text_model(parent)
+    (outside / "a.png").touch()
+    (parent / "images" / "a.png").symlink_to(outside / "a.png")
+    with pytest.raises(BadInput, match="leads out"):
+        read_colmap(parent)
+    (parent / "images" / "a.png").unlink()
+    (parent / "images").rmdir()
+    (parent / "images").symlink_to(outside)
+    with pytest.raises(BadInput, match="--images"):
+        read_colmap(parent)
+    assert read_colmap(parent, outside).frames[0].image == (outside / "a.png").resolve()
+    (parent / "images").unlink()
+    (parent / "photos").mkdir()
+    (parent / "images").symlink_to(parent / "photos")  # inside
+    (parent / "photos" / "a.png").symlink_to(parent / "photos" / "a.png")
+    with pytest.raises(BadInput, match=r"a\.png"):
+        load_scene(parent)
+
+
+def test_a_mesh_that_is_a_link_out_is_the_users_to_name(tmp_path):
+    parent = tmp_path / "scene"
+    parent.mkdir()
+    text_model(parent)
+    (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (parent / "mesh.obj").symlink_to(tmp_path / "mesh.obj")
+    write_png(parent / "images" / "a.png", np.zeros((3, 4, 3), np.uint8))
+    with pytest.raises(BadInput, match="--mesh"):
+        load_scene(parent)
+    assert len(load_scene(parent, parent / "mesh.obj")[1].faces) == 1
+
+
+def test_a_camera_without_a_focal_length_is_refused(tmp_path):
+    for focal in ("0 5", "5 -1"):
+        with pytest.raises(BadInput, match="focal"):
+            read_colmap(text_model(tmp_path, f"1 PINHOLE 4 3 {focal} 2 1.5"))

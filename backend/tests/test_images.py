@@ -8,6 +8,7 @@ import OpenImageIO as oiio  # noqa: N813
 import pytest
 from dante_w.color import linear_from_srgb_array, srgb_from_linear_array
 from dante_w.errors import BadInput, DanteError, OutOfRoom
+from dante_w.scene import images
 from dante_w.scene.images import read_photo, read_size, read_texture, write_exr, write_png
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -275,3 +276,18 @@ def test_other_types_are_a_mistake_of_the_program(tmp_path):
         write_png(tmp_path / "a.png", np.zeros((2, 2, 3), np.float32))
     with pytest.raises(TypeError):
         write_exr(tmp_path / "a.exr", np.zeros((2, 2, 3), np.uint8))
+
+
+def test_a_picture_that_needs_more_memory_than_is_free_is_refused_from_the_header(tmp_path, monkeypatch):
+    path = save(tmp_path / "a.png", noise(40, 50, 3))
+    free = images.psutil.virtual_memory()
+    needed = images.BYTES_PER_SAMPLE * 40 * 50 * 3
+    for available in (needed, needed - 1):
+        monkeypatch.setattr(
+            images.psutil, "virtual_memory", lambda value=available: free._replace(available=value)
+        )
+        if available == needed:
+            assert read_photo(path).srgb.shape == (40, 50, 3)
+        else:
+            with pytest.raises(OutOfRoom, match="50 x 40"):
+                read_photo(path)

@@ -67,7 +67,9 @@ def check_camera(camera: Camera) -> None:
     """Raise BadInput, without a file's name, unless rays can be cast for the camera."""
     if camera.width < 1 or camera.height < 1 or not np.isfinite(camera.params).all():
         raise BadInput(f"a {camera.model} camera has no size or is not finite; calibrate it again.")
-    _colmap(camera)
+    model = _colmap(camera)
+    if min(model.params[index] for index in model.focal_length_idxs()) <= 0.0:
+        raise BadInput(f"a {camera.model} camera's focal length is not positive; calibrate it again.")
 
 
 def _colmap(camera: Camera):  # type: ignore[no-untyped-def]

@@ -46,7 +46,11 @@ def read_colmap(parent: Path, images: Path | None = None) -> Scene:
     folder = _model_folder(parent)
     if folder is None:
         raise BadInput(f"{parent}: holds no COLMAP model; name the folder that holds sparse/0.")
-    photos = parent / "images" if images is None else Path(images).resolve()
+    photos = (parent / "images" if images is None else Path(images)).resolve()
+    if images is None and not photos.is_relative_to(parent):
+        raise BadInput(
+            f"{parent / 'images'}: leads out of the scene folder; name the photos' folder with --images."
+        )
     if not photos.is_dir():
         raise BadInput(f"{photos}: the photos' folder is missing; name it with --images.")
     cameras, registered = _load(folder)
@@ -152,7 +156,14 @@ def _photo(folder: Path, photos: Path, name: str) -> Path:
             or not name.isprintable()
         ):
             raise BadInput(f"{folder}: the photo name {name!r} leads out of {photos}; rename it in COLMAP.")
-    return photos / name
+    photo = photos / name
+    try:
+        inside = photo.resolve().is_relative_to(photos)
+    except (OSError, RuntimeError):  # a loop of links
+        inside = False
+    if not inside:
+        raise BadInput(f"{photo}: is a link that leads out of {photos}; copy the photo there.")
+    return photo
 
 
 def _pose(folder: Path, image: _Image) -> np.ndarray:

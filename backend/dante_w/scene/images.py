@@ -14,12 +14,14 @@ from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
+import psutil
 
 from dante_w.color import linear_from_srgb_array, srgb_from_linear_array
 from dante_w.errors import BadInput, OutOfRoom
 
 FORMATS = ("png", "jpeg", "tiff", "openexr", "hdr", "webp")
 MAX_SAMPLES = 2**30  #: width x height x channels, a 16384 x 16384 RGBA texture; more is a broken header
+BYTES_PER_SAMPLE = 16  #: of memory while a picture is decoded, at most: measured with EXR
 FOREGROUND = 0.95  #: alpha above this is foreground
 _BAND = 256  #: scanlines handed to a writer at once
 
@@ -27,10 +29,12 @@ _BAND = 256  #: scanlines handed to a writer at once
 @dataclass(frozen=True)
 class Photo:
     """One photo: `srgb` float32 (H, W, 3), sRGB-encoded, above 1 where a float file is brighter than
-    white; `foreground` bool (H, W), the pixels to explain."""
+    white; `foreground` bool (H, W), the pixels to explain; `linear`, whether it is of a float file, whose radiance has
+    any scale."""
 
     srgb: np.ndarray
     foreground: np.ndarray
+    linear: bool = False
 
 
 def read_size(path: Path) -> tuple[int, int]:
@@ -69,7 +73,7 @@ def read_photo(path: Path, mask: Path | None = None) -> Photo:
                 f"{foreground.shape[1]} x {foreground.shape[0]}; export it at the photo's size."
             )
         foreground = foreground & (inside > 0.5)
-    return Photo(srgb, foreground)
+    return Photo(srgb, foreground, linear)
 
 
 def read_texture(path: Path) -> np.ndarray:
@@ -104,7 +108,8 @@ def write_exr(path: Path, linear: np.ndarray) -> None:
     """
     if linear.dtype not in (np.float16, np.float32):
         raise TypeError(f"an EXR holds float16 or float32, not {linear.dtype}")
-    _write(path, linear, {"oiio:ColorSpace": "lin_rec709_scene", "compression": "zip"})
+    # OpenImageIO would note the time, and the same texture would never have the same bytes
+    _write(path, linear, {"oiio:ColorSpace": "lin_rec709_scene", "compression": "zip", "DateTime": ""})
 
 
 def _open(path: Path) -> Any:
@@ -135,6 +140,13 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None, bool]:
     """Colour float32 (H, W, 3) as stored, straight; alpha (H, W) or None; whether the colour is linear."""
     source = _open(path)
     spec = source.spec()
+    needed = BYTES_PER_SAMPLE * spec.width * spec.height * spec.nchannels
+    if needed > psutil.virtual_memory().available:  # a file of a few kB may say so
+        source.close()
+        raise OutOfRoom(
+            f"{path}: reading {spec.width} x {spec.height} pixels takes {needed / 1e9:.1f} GB of memory, more than is free; "
+            "use a smaller image."
+        )
     try:
         pixels = source.read_image(oiio.FLOAT)
     except MemoryError as error:

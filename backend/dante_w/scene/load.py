@@ -32,6 +32,8 @@ def load_scene(
     source = mesh or scene.mesh
     if source is None:
         raise BadInput(f"{path}: no mesh.obj, mesh.ply or mesh.glb here; name the mesh with --mesh.")
+    if mesh is None and not source.resolve().is_relative_to(source.parent.resolve()):
+        raise BadInput(f"{source}: is a link that leads out of the scene folder; name the mesh with --mesh.")
     for frame in scene.frames:
         _check_size(frame)
     return scene, read_mesh(source)

@@ -145,6 +145,8 @@ def _accessor(document: dict[str, Any], binary: bytes, index: int, width: int) -
         raise BadInput("the mesh keeps its data in another file; export it as one .glb.")
     kind = np.dtype(_KINDS[accessor["componentType"]])
     start = view.get("byteOffset", 0)
+    if min(start, view["byteLength"]) < 0:
+        raise ValueError("a view that begins before its buffer")
     inside = binary[start : start + view["byteLength"]]
     stride = view.get("byteStride") or kind.itemsize * width
     shape = (accessor["count"], width)

@@ -61,6 +61,8 @@ def parse_ply(data: bytes) -> Arrays:
     indices, sizes = face.get("vertex_indices") or face.get("vertex_index") or (np.empty(0), np.empty(0))
     if sizes is None or len(sizes) == 0:
         raise BadInput("the mesh has no faces (a point cloud, perhaps); export it with its faces.")
+    if indices.dtype.kind == "f" and not (np.abs(indices) < 2.0**53).all():  # NaN is no index on any machine
+        raise BadInput("a face names a vertex that is not there; export the mesh again.")
     triangles = fan(sizes)
     faces = indices.astype(np.int64)[triangles]
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
