@@ -89,13 +89,15 @@ def test_first_groups_are_pure(world, monkeypatch):
 
 
 def test_linkage_passes_over_what_is_not_known():
-    # photos 0 to 3 along a wall, each overlapping the next; 4 and 5 are of another light
+    # photos 0 to 3 along a wall, each overlapping the next; 4 and 5, of another light, overlap all of 0 and 1
     apart, known = np.full((6, 6), 1.0), np.zeros((6, 6), bool)
-    for i, j, distance in ((0, 1, 0.1), (1, 2, 0.1), (2, 3, 0.1), (4, 5, 0.1), (1, 4, 0.3), (2, 5, 0.3)):
+    near, far = [(0, 1), (1, 2), (2, 3), (4, 5)], [(0, 4), (0, 5), (1, 4), (1, 5)]
+    for (i, j), distance in [*((pair, 0.1) for pair in near), *((pair, 0.3) for pair in far)]:
         apart[i, j] = apart[j, i] = distance
         known[i, j] = known[j, i] = True
     found = groups._average_linkage(apart, 2, known)
     assert same_partition(found, np.array([0, 0, 0, 0, 1, 1]))
+    assert not same_partition(groups._average_linkage(apart, 2), np.array([0, 0, 0, 0, 1, 1]))
     assert len(np.unique(groups._average_linkage(apart, 2, np.zeros((6, 6), bool)))) == 2
 
 

@@ -30,7 +30,8 @@ def directions(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     pixels = np.asarray(pixels, np.float64)
     if camera.model == "PINHOLE" and len(camera.params) == 4:
         fx, fy, cx, cy = camera.params
-        flat = (pixels - (cx, cy)) / (fx, fy)
+        with np.errstate(over="ignore"):  # a focal length of next to nothing
+            flat = (pixels - (cx, cy)) / (fx, fy)
     else:
         model = _colmap(camera)
         flat = np.asarray(model.cam_from_img(pixels), np.float64).reshape(-1, 2)
