@@ -125,7 +125,7 @@ def scene(tmp_path_factory) -> Path:
 
 def test_the_command_runs_what_the_changes_say(scene, tmp_path):
     changes = {
-        "schedule.steps": 3,
+        "schedule.steps": 40,
         "schedule.batch": 256,
         "model.irradiance.levels": 3,
         "model.albedo.log2_table": 10,
@@ -148,7 +148,7 @@ def test_the_command_runs_what_the_changes_say(scene, tmp_path):
     assert report["preset"] == wanted
     assert report["settings"]["preset"] == "draft" and report["texture_size"] == 64
     steps = [json.loads(line) for line in done.stdout.splitlines()]
-    assert {line["total"] for line in steps if line["stage"] == "optimise"} == {3}
+    assert {line["total"] for line in steps if line["stage"] == "optimise"} == {40}
     assert 0.03 < report["samples"] / (PHOTOS * SIDE**2) < 0.1  # a tenth of what shows the sphere
 
 
