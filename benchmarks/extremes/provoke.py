@@ -153,6 +153,10 @@ class Stand:
         shutil.copytree(self.scene, copy)
         return copy
 
+    def short(self, sentence: str) -> str:
+        """A sentence without this folder's path, which is another one each time."""
+        return sentence.replace(f"{self.folder}{os.sep}", "")
+
     def left(self, where: Path | None = None) -> tuple[bool, list[str]]:
         """Whether the former result is there byte for byte, and what else is."""
         out, former = where or self.out, self.folder / "former"
@@ -176,9 +180,8 @@ def judged(
     told = f"exit {found.code}, former result {'intact' if same else 'CHANGED'}, {', '.join(left) or 'nothing'} left"
     good = found.code == code and same and set(left) <= {".resume"}
     said = bool(sentence) and words in sentence and "\n" not in sentence and "Traceback" not in found.log
-    return Row(
-        name, "faults", told, f"exit {code}, one sentence, intact, nothing left", good and said, sentence
-    )
+    bound = f"exit {code}, one sentence, intact, nothing left"
+    return Row(name, "faults", told, bound, good and said, place.short(sentence))
 
 
 def failed(name: str, error: BaseException) -> Row:

@@ -143,7 +143,7 @@ def _folder_in_the_way(place: Stand, name: str) -> Row:
         told,
         "exit 2, one sentence, intact",
         good and "albedo.png" in found.sentence,
-        found.sentence,
+        place.short(found.sentence),
     )
 
 
