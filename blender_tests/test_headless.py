@@ -81,7 +81,7 @@ def test_exit_codes(blend, tmp_path, more, mode, code, said):
 
 
 def test_what_to_model_reaches_the_backend(blend, tmp_path):
-    options = ["--irradiance", "field", "--model", "groups", "--model", "bounce", "--leave-out", "gloss"]
+    options = ["--irradiance", "traced", "--model", "groups", "--model", "bounce", "--leave-out", "gloss"]
     assert run(blend, tmp_path / "out", *options).returncode == 0
     given = json.loads((tmp_path / "out/report.json").read_text())["arguments"]
     assert " ".join(options) in " ".join(given)
@@ -106,7 +106,7 @@ def test_signals_cancel(blend, tmp_path, number):
     process.send_signal(number)
     process.communicate(timeout=10)
     assert process.returncode == 3
-    assert time.monotonic() - before < 1.5
+    assert time.monotonic() - before < 3.0  # a second, on a machine with nothing else to do
 
 
 def test_blenders_own_signal_handlers_are_no_obstacle(monkeypatch):

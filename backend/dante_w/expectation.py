@@ -16,6 +16,7 @@ import psutil
 
 from dante_w.model.held_out import SCHEDULE
 from dante_w.pace import Pace
+from dante_w.plan import duration
 
 
 @dataclass(frozen=True)
@@ -27,12 +28,17 @@ class Quality:
     highest: float
 
 
-#: Without priors, on four objects: `python3 dev.py bench gigalit DIR`. None: not measured.
-QUALITY: dict[str, Quality | None] = {
-    "draft": None,
-    "standard": Quality(24.3, 20.8, 27.1),
-    "high": None,
-    "paper": None,
+_TRACED = Quality(30.7, 28.3, 34.2)
+#: Of traced light and of the paper's field, without priors, on four objects: `python3 dev.py bench gigalit DIR`. With traced
+#: light `high` is `standard` where textures are not larger. None: not measured.
+QUALITY: dict[str, dict[str, Quality | None]] = {
+    "traced": {"draft": Quality(29.4, 26.9, 32.4), "standard": _TRACED, "high": _TRACED, "paper": None},
+    "field": {
+        "draft": Quality(22.9, 20.1, 24.1),
+        "standard": Quality(24.3, 20.8, 27.2),
+        "high": None,
+        "paper": None,
+    },
 }
 
 
@@ -66,7 +72,7 @@ class Expectation:
 
     def sentence(self, preset: str, priors: bool) -> str:
         """For people, before the work begins."""
-        begin = f"{preset}: about {_duration(sum(self.seconds.values()))} here; "
+        begin = f"{preset}: about {duration(sum(self.seconds.values()))} here; "
         if priors:
             return begin + "how near the albedo comes to the truth depends on the priors"
         if self.quality is None:
@@ -100,11 +106,3 @@ def predict(pace: Pace, work: Work) -> dict[str, float]:
         "write": work.texels * pace.write,
     }
     return {stage: value for stage, value in seconds.items() if value > 0.0}
-
-
-def _duration(seconds: float) -> str:
-    """45 s, 3 min, 1 h 20 min."""
-    if seconds < 60.0:
-        return f"{max(seconds, 1.0):.0f} s"
-    minutes = round(seconds / 60.0)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

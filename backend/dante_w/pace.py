@@ -86,14 +86,22 @@ class Pace:
     render: float = 0.0
 
 
-def measure(
-    frames: list[Frame], mesh: Mesh, texture: Texture, folder: Path, fitting: Fitting | None = None
-) -> Pace:
-    """Do a little of everything and time it, in about a second once kernels are loaded.
+@dataclass(frozen=True)
+class Sample:
+    """Some photos' pixels: `cache`, what they see by `caster`; the seconds that it takes to read a pixel, to prepare the mesh
+    and to trace a `ray`, the share of pixels in the `foreground`, and that of rays which hit the mesh (`hit`)."""
 
-    Args:
-        folder: for a file, which is removed.
-        fitting: left out, the texture needs no fit.
+    cache: RayCache
+    caster: Raycaster
+    read: float
+    mesh: float
+    ray: float
+    foreground: float
+    hit: float
+
+
+def take(frames: list[Frame], mesh: Mesh) -> Sample:
+    """Read a few of the photos, evenly spread, and cast their rays.
 
     Raises:
         BadInput: a photo cannot be read.
@@ -101,18 +109,31 @@ def measure(
     pixels = sum(map(_pixels, frames))
     count = min(max(READ_PIXELS * len(frames) // pixels, 1), len(frames))
     chosen = [frames[(2 * i + 1) * len(frames) // (2 * count)] for i in range(count)]
-    photos, reading = _timed(lambda: [_read(frame) for frame in chosen])
+    photos, reading = timed(lambda: [_read(frame) for frame in chosen])
     read = sum(map(_pixels, chosen))
     frame3d = Frame3D.around(mesh)
-    caster, building = _timed(lambda: Raycaster(mesh, frame3d))
-    cache, ray = _cast(chosen, photos, mesh, caster, frame3d)
-    fit_seconds, texels = _fit(cache, fitting, texture.side) if fitting else ((0.0, 0.0, 0.0), _grey)
+    caster, building = timed(lambda: Raycaster(mesh, frame3d))
+    cache, ray, hit = _cast(chosen, photos, mesh, caster, frame3d)
+    foreground = sum(int(photo.foreground.sum()) for photo in photos) / read
+    return Sample(cache, caster, reading / read, building, ray, foreground, hit)
+
+
+def measure(
+    sample: Sample, mesh: Mesh, texture: Texture, folder: Path, fitting: Fitting | None = None
+) -> Pace:
+    """Do a little of what follows and time it, in about a second once kernels are loaded.
+
+    Args:
+        folder: for a file, which is removed.
+        fitting: left out, the texture needs no fit.
+    """
+    fit_seconds, texels = _fit(sample.cache, fitting, texture.side) if fitting else ((0.0, 0.0, 0.0), _grey)
     small = replace(texture, side=min(texture.side, SIDE))
     return Pace(
-        reading / read,
-        building,
-        ray,
-        sum(int(photo.foreground.sum()) for photo in photos) / read,
+        sample.read,
+        sample.mesh,
+        sample.ray,
+        sample.foreground,
         _bake(texels, mesh, small) / small.side**2,
         _write(folder, small) / small.side**2,
         *fit_seconds,
@@ -121,8 +142,9 @@ def measure(
 
 def _cast(
     frames: list[Frame], photos: list[Photo], mesh: Mesh, caster: Raycaster, frame3d: Frame3D
-) -> tuple[RayCache, float]:
-    """Cast the photos' pixels, photo by photo as the run does; returns what they hit and the seconds a ray takes."""
+) -> tuple[RayCache, float, float]:
+    """Cast the photos' pixels, photo by photo as the run does; returns what they hit, the seconds a ray takes, and the
+    share of rays that hit anything."""
     assert mesh.uvs is not None
     corners = frame3d.normalise(mesh.vertices)[mesh.faces]
     geometry = face_geometry(corners, mesh.uvs)
@@ -143,6 +165,7 @@ def _cast(
         barys.append(hits.bary)
         colours.append(photo.srgb.reshape(-1, 3)[pixel[hits.ray]])
         spans.append(footprints(frame, rays[hits.ray], hits, *geometry)[1])
+    hit = sum(map(len, faces)) / max(cast, 1)
     if not any(map(len, faces)):  # the run itself will say so if nothing is ever hit
         faces[0], barys[0], colours[0] = np.zeros(1, np.int32), np.zeros((1, 2)), np.full((1, 3), 0.5)
         spans[0] = np.ones(1)
@@ -150,10 +173,10 @@ def _cast(
     colour = np.concatenate(colours).clip(0.0, 1.0).astype(np.float16)
     bary = np.rint(np.concatenate(barys) * 65535.0).astype(np.uint16)
     starts = np.cumsum([0, *map(len, faces)]).astype(np.int64)
-    prior = colour if any(frame.albedo for frame in frames) else None
+    prior = np.pad(colour, [(0, 0), (0, 1)]) if any(frame.albedo for frame in frames) else None
     face, footprint = np.concatenate(faces).astype(np.int32), np.concatenate(spans).astype(np.float16)
     cache = RayCache(surface, starts, face, bary, colour, prior, footprint)
-    return cache, seconds / max(cast, 1)
+    return cache, seconds / max(cast, 1), hit
 
 
 def _fit(cache: RayCache, fitting: Fitting, texture_size: int) -> tuple[tuple[float, float, float], Texels]:
@@ -187,7 +210,7 @@ def _fit(cache: RayCache, fitting: Fitting, texture_size: int) -> tuple[tuple[fl
 
     seconds = step_seconds(fitting.batch, None), step_seconds(SCHEDULE.batch, model.photo_parameters())
     rendered = np.arange(RENDERED) % len(cache)
-    _, rendering = _timed(lambda: psnr(model, cache, rendered))
+    _, rendering = timed(lambda: psnr(model, cache, rendered))
 
     @torch.no_grad()
     def texels(uv: np.ndarray) -> np.ndarray:
@@ -227,7 +250,7 @@ def _write(folder: Path, texture: Texture) -> float:
     texels = encode_rows(0.3 + noise, np.dtype(texture.kind))
     write, name = (write_exr, "pace.exr") if texels.dtype.kind == "f" else (write_png, "pace.png")
     file = folder / name
-    _, seconds = _timed(lambda: write(file, texels))
+    _, seconds = timed(lambda: write(file, texels))
     file.unlink()
     return seconds
 
@@ -243,6 +266,7 @@ def _pixels(frame: Frame) -> int:
     return frame.camera.width * frame.camera.height
 
 
-def _timed(work: Callable[[], T]) -> tuple[T, float]:
+def timed(work: Callable[[], T]) -> tuple[T, float]:
+    """What `work` returns, and the seconds it took."""
     began = time.perf_counter()
     return work(), time.perf_counter() - began

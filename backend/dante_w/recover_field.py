@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,13 +17,15 @@ from dante_w.checkpoints import Checkpoints, open_checkpoints
 from dante_w.device import pick_device
 from dante_w.errors import BadInput, DanteError
 from dante_w.expectation import QUALITY, Expectation, Work, predict
+from dante_w.memory import BAKED, cache_bytes, fit_bytes, resident, room
 from dante_w.model.divergence import Course, Setback
 from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.gauge import albedo_gain, start_exposures
 from dante_w.model.held_out import choose_held_out, held_out_psnr
 from dante_w.model.optimise import LossTerms, fit, photo_ranges
 from dante_w.model.presets import PRESETS, equal_bands, sized
-from dante_w.pace import Fitting, Texture, measure
+from dante_w.pace import Fitting, Texture, measure, take
+from dante_w.plan import Decision, embedding, light, memory, own_exposures, representation, samples
 from dante_w.progress import Progress
 from dante_w.rays.ray_cache import RayCache
 from dante_w.scene.mesh import Mesh
@@ -35,10 +36,13 @@ from dante_w.stages import (
     bake_files,
     begin,
     check_exposed,
+    expect_no_fit,
     known_gain,
     look,
     pixels,
     prepare,
+    say_expected,
+    say_plan,
     write_report,
 )
 
@@ -52,8 +56,9 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
     distributed.join(device)
     preset = PRESETS[options.preset]
     spec = equal_bands(preset.model) if options.equal_bands else preset.model
-    size = options.texture_size or preset.texture_size
-    scene, mesh = prepare(options, options.priors, size, staging, progress)
+    scene, mesh, size, texture = prepare(
+        options, options.priors, preset.texture_size, BAKED, staging, progress
+    )
     use_prior = options.prior_weight > 0.0 and any(frame.albedo for frame in scene.frames)
     if options.no_photometric and not use_prior:
         raise BadInput("--no-photometric leaves only the priors, and there are none; add --priors DIR.")
@@ -62,13 +67,16 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
     held_out = choose_held_out(len(scene.frames))
     fitting = Fitting(spec, terms, preset.schedule.batch, device)
     expected = _expect(options, scene, mesh, held_out, size, fitting, staging, progress)
+    held = resident()
     kept = open_checkpoints(options, scene, mesh)
     seen = look(scene, mesh, size, kept, staging, progress)
-    cache, coverage = seen.cache, seen.coverage
+    cache, coverage, size = seen.cache, seen.coverage, seen.coverage.width
     if terms.photometric:
         check_exposed(scene, cache)
     everything = photo_ranges(cache, np.arange(len(scene.frames)))
     spec = spec if options.preset == "paper" else sized(spec, size, cache)
+    plan = _plan(scene, spec, cache, size, texture, held)
+    say_plan(options, plan, progress)
     model, score, setbacks = _fit(cache, spec, terms, options, device, held_out, progress, kept)
     if distributed.rank() > 0:
         return {}
@@ -93,6 +101,7 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
         photos=len(scene.frames),
         samples=len(cache),
         priors=sum(frame.albedo is not None for frame in scene.frames),
+        plan=[dataclasses.asdict(decision) for decision in plan],
         held_out_photos=[scene.frames[i].image.name for i in held_out],
         held_out_psnr=score,
         setbacks={stage: [dataclasses.asdict(each) for each in found] for stage, found in setbacks.items()},
@@ -102,6 +111,44 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
         texture_size=size,
         expected=expected,
     )
+
+
+def plan_field(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+    """Decide how large the paper's model is and say so, without fitting it. Arguments and errors as `recover.recover`."""
+    preset = PRESETS[options.preset]
+    scene, mesh, size, texture = prepare(
+        options, options.priors, preset.texture_size, BAKED, staging, progress
+    )
+    expect_no_fit(options, scene, mesh, size, staging, progress)
+    held = resident()
+    cache = look(scene, mesh, size, None, staging, progress).cache
+    check_exposed(scene, cache)
+    spec = preset.model if options.preset == "paper" else sized(preset.model, size, cache)
+    decisions = _plan(scene, spec, cache, size, texture, held)
+    say_plan(options, decisions, progress)
+    return {
+        "plan": [dataclasses.asdict(decision) for decision in decisions],
+        "texture_size": size,
+        "samples": len(cache),
+    }
+
+
+def _plan(
+    scene: Scene, spec: ModelSpec, cache: RayCache, size: int, texture: Decision, held: int
+) -> list[Decision]:
+    """What the paper's model has, on a machine that held so many bytes before the rays."""
+    parts = {"libraries and mesh": held, "samples": cache_bytes(len(cache), cache.prior is not None)}
+    fitting, making = fit_bytes(spec), BAKED * size**2
+    last = {"fit": fitting} if fitting > making else {"texture": making}
+    return [
+        texture,
+        light("field", True),
+        samples(len(cache), pixels(scene.frames), cache.prior is not None),
+        memory(sum(parts.values()) + max(fitting, making), room(), parts | last),
+        representation(spec),
+        embedding(spec.embedding),
+        own_exposures(),
+    ]
 
 
 def _expect(
@@ -114,7 +161,7 @@ def _expect(
     staging: Path,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Say what the run will take and what its preset reached elsewhere; returns that for the report."""
+    """What is said of the run before it begins."""
     preset, texture = PRESETS[options.preset], Texture(size, TEXEL_TYPES[options.format], GUTTER)
     work = Work(
         photos=len(scene.frames),
@@ -124,16 +171,12 @@ def _expect(
         steps=preset.schedule.steps,
         final_steps=preset.final_pass.steps if len(held_out) and not options.keep_held_out else 0,
     )
-    to_come = predict(measure(scene.frames, mesh, texture, staging, fitting), work)
+    to_come = predict(measure(take(scene.frames, mesh), mesh, texture, staging, fitting), work)
     begin(progress, to_come)
     priors = any(frame.albedo for frame in scene.frames) and fitting.terms.prior_weight > 0.0
     as_measured = not (priors or options.equal_bands)
-    expected = Expectation(progress.seconds | to_come, QUALITY[options.preset] if as_measured else None)
-    if options.json:
-        progress.say({"stage": "expected", **expected.as_dict()})
-    else:
-        print(expected.sentence(options.preset, priors), file=sys.stderr, flush=True)
-    return expected.as_dict()
+    quality = QUALITY["field"][options.preset] if as_measured else None
+    return say_expected(options, Expectation(progress.seconds | to_come, quality), priors, progress)
 
 
 def _fit(

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import math
 import os
+import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,12 @@ from dante_w.checkpoints import Checkpoints
 from dante_w.device import peak_memory
 from dante_w.doctor import library_versions
 from dante_w.errors import BadInput
-from dante_w.expectation import Work, predict, since_start
-from dante_w.pace import Texture, measure
+from dante_w.expectation import Expectation, Work, predict, since_start
+from dante_w.memory import cache_bytes, resident, room
+from dante_w.pace import Texture, measure, take
+from dante_w.plan import Decision, texture_side
 from dante_w.progress import Progress
+from dante_w.rays.footprint import glance
 from dante_w.rays.ray_cache import RayCache, trace
 from dante_w.result_folder import REPORT
 from dante_w.scene.images import write_exr, write_png
@@ -43,15 +47,37 @@ LOOKUP = 1024
 
 
 def prepare(
-    options: argparse.Namespace, priors: Path | None, size: int, staging: Path, progress: Progress
-) -> tuple[Scene, Mesh]:
+    options: argparse.Namespace, priors: Path | None, most: int, texel: int, staging: Path, progress: Progress
+) -> tuple[Scene, Mesh, int, Decision]:
+    """The scene, its mesh with UVs, the texels along a side of the texture, at `most` so many unless the user wants more, and
+    why so many. `texel`: bytes that one takes while the texture is made."""
     scene, mesh = load_scene(options.scene, options.mesh, options.images, priors)
+    name = options.mesh or scene.mesh or scene.source
+    if options.unwrap:
+        mesh = dataclasses.replace(mesh, uvs=None)
+    else:
+        check_uvs(mesh.uvs, name)
+    seen = glance(mesh, scene.frames)
+    samples = round(seen.share * pixels(scene.frames))
+    held = resident() + cache_bytes(samples, any(frame.albedo for frame in scene.frames))
+    size, decision = texture_side(seen.footprint, most, options.texture_size, texel, room() - held)
     progress.update("scene", 1, 1)
     if options.unwrap:
         mesh = unwrap(mesh, lambda done: progress.update("unwrap", done, 1.0), size)
         write_obj(staging / "mesh.obj", mesh)
-    check_uvs(mesh.uvs, options.mesh or scene.mesh or scene.source)
-    return scene, mesh
+        check_uvs(mesh.uvs, name)
+    return scene, mesh, size, decision
+
+
+def say_plan(options: argparse.Namespace, decisions: list[Decision], progress: Progress) -> None:
+    """Say what is modelled, and why; a plan alone is what standard output is for."""
+    progress.close()
+    if options.json:
+        progress.say({"stage": "planned", "decisions": [dataclasses.asdict(each) for each in decisions]})
+        return
+    for line in decisions:
+        out = sys.stdout if options.command == "plan" else sys.stderr
+        print(f"{line.what}: {line.choice} ({line.reason}; {line.costs})", file=out, flush=True)
 
 
 def expect_no_fit(
@@ -60,7 +86,7 @@ def expect_no_fit(
     """Begin a run whose texture needs no fit, with what its stages will take."""
     work = Work(len(scene.frames), pixels(scene.frames), size**2)
     texture = Texture(size, TEXEL_TYPES[options.format], GUTTER)
-    begin(progress, predict(measure(scene.frames, mesh, texture, staging), work))
+    begin(progress, predict(measure(take(scene.frames, mesh), mesh, texture, staging), work))
 
 
 def begin(progress: Progress, to_come: dict[str, float]) -> None:
@@ -69,6 +95,17 @@ def begin(progress: Progress, to_come: dict[str, float]) -> None:
     start = max(since_start() - sum(progress.seconds.values()), 0.0)
     progress.seconds = {"start": round(start, 3), **progress.seconds}
     progress.expect(to_come)
+
+
+def say_expected(
+    options: argparse.Namespace, expected: Expectation, priors: bool, progress: Progress
+) -> dict[str, Any]:
+    """Say what the run will take and what its preset reached elsewhere; returns that for the report."""
+    if options.json:
+        progress.say({"stage": "expected", **expected.as_dict()})
+    else:
+        print(expected.sentence(options.preset, priors), file=sys.stderr, flush=True)
+    return expected.as_dict()
 
 
 def pixels(frames: Iterable[Frame]) -> int:

@@ -42,7 +42,7 @@ def some_cache() -> RayCache:
         np.zeros(count, np.int32),
         random.integers(0, 1 << 15, (count, 2)).astype(np.uint16),
         random.random((count, 3)).astype(np.float16),
-        random.random((count, 3)).astype(np.float16),
+        random.random((count, 4)).astype(np.float16),
         np.full(count, 0.01, np.float16),
         np.full((256, 256), 0.01, np.float32),
     )

@@ -86,6 +86,76 @@ def test_a_folder_in_a_files_place_is_refused_before_anything_is_moved(tmp_path)
     assert content(tmp_path) == {"coverage.png": "former", "report.json": "former"}
 
 
+def begun_by(process: psutil.Process, out: Path, kind: str, later: float = 0.0) -> Path:
+    """A folder with a result in it, as a process leaves it in `out`; or one of its number that began `later`."""
+    folder = out / f".{kind}-{process.pid}-{int(process.create_time() + later)}"
+    folder.mkdir(parents=True)
+    for name, text in RESULT.items():
+        (folder / name).write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["partial", "whole"])
+def test_what_a_living_process_has_begun_nobody_else_touches(tmp_path, kind):
+    expected, first = former(tmp_path), psutil.Process(os.getppid())
+    folder = begun_by(first, tmp_path, kind)
+    with pytest.raises(BadInput, match=rf"another run \(process {first.pid}\) is at work here"):
+        result_folder.stage(tmp_path)
+    result_folder.abandon(tmp_path)  # by the refused one, or by the guard of one that died
+    assert content(tmp_path) == expected and content(folder) == RESULT
+    assert list(tmp_path.glob(".*")) == [folder]
+
+
+@posix
+@pytest.mark.parametrize("later", [0.0, 1000.0])
+def test_the_dead_are_in_nobodys_way(tmp_path, later):
+    """A process that ended but was not waited for, and a living one that was given a dead one's number."""
+    with subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE) as ended:
+        assert ended.stdout is not None
+        ended.stdout.read()
+        process = psutil.Process(os.getppid() if later else ended.pid)
+        begun_by(process, tmp_path, "partial", later)
+        until = time.monotonic() + 10.0
+        while alive(process) and not later and time.monotonic() < until:
+            time.sleep(0.01)
+        staging = result_folder.stage(tmp_path)
+        assert list(tmp_path.iterdir()) == [staging] and content(staging) == {}
+
+
+#: A run that is told when to end.
+FIRST = """
+import sys
+from pathlib import Path
+from dante_w import result_folder
+out = Path(sys.argv[1])
+staging = result_folder.stage(out)
+print("at work", flush=True)
+sys.stdin.read()
+for name in ("albedo.png", "coverage.png", "report.json"):
+    (staging / name).write_text("new")
+result_folder.publish(out)
+"""
+
+
+def test_a_second_run_into_one_folder_is_refused_and_the_first_ends_well(scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    expected = former(out)
+    (out / ".resume").mkdir()
+    (out / ".resume/inputs.txt").write_text("kept")
+    command = [sys.executable, "-c", FIRST, str(out)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as first:
+        assert first.stdin is not None and first.stdout is not None
+        assert first.stdout.readline() == "at work\n"
+        for options in (["recover", "--resume"], ["average"]):
+            assert main([*options, str(scene), "--out", str(out), "--json"]) == 2
+            said = json.loads(capsys.readouterr().out.splitlines()[-1])
+            assert (said["code"], str(first.pid) in said["message"]) == (2, True)
+        assert content(out) == expected and content(out / ".resume") == {"inputs.txt": "kept"}
+        first.stdin.close()
+        assert first.wait() == 0
+    assert content(out) == RESULT and len(list(out.iterdir())) == 3
+
+
 def test_scratch_folders_of_killed_processes_are_removed(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     dead = subprocess.Popen([sys.executable, "-c", ""])

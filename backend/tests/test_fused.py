@@ -50,7 +50,7 @@ def some_samples(count: int, prior: bool) -> Samples:
         return torch.rand(*shape, generator=random)
 
     photo = torch.randint(0, PHOTOS, (count,), generator=random)
-    known = uniform(count, 3) if prior else None
+    known = uniform(count, 4) if prior else None
     if known is not None:
         known[photo == 1] = torch.nan
     return Samples(photo, uniform(count, 2), uniform(count, 3), uniform(count, 3), known, uniform(count))

@@ -9,7 +9,7 @@ import pytest
 from dante_w.color import linear_from_srgb_array, srgb_from_linear_array
 from dante_w.errors import BadInput, DanteError, OutOfRoom
 from dante_w.scene import images
-from dante_w.scene.images import read_photo, read_size, read_texture, write_exr, write_png
+from dante_w.scene.images import read_photo, read_prior, read_size, read_texture, write_exr, write_png
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -78,6 +78,14 @@ def test_alpha_is_straight_and_cut_at_95_percent(tmp_path, ending):
     photo = read_photo(save(tmp_path / f"a.{ending}", pixels, oiio__UnassociatedAlpha=1))
     assert photo.foreground.tolist() == [[False, False, False, True], [True, True, False, False]]
     np.testing.assert_allclose(photo.srgb, pixels[:, :, :3] / 255.0, atol=1e-7)
+
+
+def test_alpha_of_a_prior_is_how_far_it_is_to_be_trusted(tmp_path):
+    pixels = noise(1, 4, 4)
+    pixels[0, :, 3] = [0, 51, 128, 255]
+    prior = read_prior(save(tmp_path / "a.png", pixels, oiio__UnassociatedAlpha=1))
+    assert np.isnan(prior[0, 0]).all()
+    np.testing.assert_allclose(prior[0, 1:], pixels[0, 1:] / 255.0, atol=1e-7)
 
 
 def test_premultiplied_float_colours_are_divided_by_alpha(tmp_path):

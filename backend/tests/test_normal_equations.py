@@ -114,7 +114,11 @@ def the_long_way(
 
 
 def taken(of: Equations, exposure: np.ndarray, expected: ExposurePrior, damping: float = 0.0):
-    return step(of, exposure, expected, prior_precision(sphere(DIRECTIONS).astype(np.float32)), damping)
+    *change, rate = step(
+        of, exposure, expected, prior_precision(sphere(DIRECTIONS).astype(np.float32)), damping
+    )
+    assert rate == 1.0
+    return tuple(change)
 
 
 def agree(found, wanted) -> None:

@@ -27,7 +27,7 @@ def some_samples(prior: bool, count: int = 64) -> Samples:
         return torch.rand(count, width, generator=random)
 
     photo = torch.randint(0, 3, (count,), generator=random)
-    return Samples(photo, uniform(2), uniform(3), uniform(3), uniform(3) if prior else None)
+    return Samples(photo, uniform(2), uniform(3), uniform(3), uniform(4) if prior else None)
 
 
 def test_the_loss_is_equations_6_and_7():
@@ -36,7 +36,8 @@ def test_the_loss_is_equations_6_and_7():
     albedo = model.albedo(samples.uv)
     colour = model.expose(albedo * model.light(samples.position, samples.photo), samples.photo)
     photometric = (srgb_from_linear(colour) - samples.colour).abs().mean()
-    prior = (albedo - linear_from_srgb(samples.prior)).abs().mean()
+    colour, trust = samples.prior.split([3, 1], dim=1)
+    prior = (trust * (albedo - linear_from_srgb(colour)).abs()).mean()
     torch.testing.assert_close(model_loss(model, samples, LossTerms(True, 0.3)), photometric + 0.3 * prior)
     torch.testing.assert_close(model_loss(model, samples, LossTerms(False, 1.0)), prior)
     torch.testing.assert_close(model_loss(model, samples, LossTerms(True, 0.0)), photometric)
@@ -72,7 +73,8 @@ def test_photos_without_a_prior_add_nothing_to_the_prior_term():
     assert torch.isfinite(loss) and all(torch.isfinite(g).all() for g in gradients)
     kept = samples.photo != 1
     albedo = model.albedo(samples.uv[kept])
-    expected = (albedo - linear_from_srgb(samples.prior[kept])).abs().sum() / samples.prior.numel()
+    colour, trust = samples.prior[kept].split([3, 1], dim=1)
+    expected = (trust * (albedo - linear_from_srgb(colour)).abs()).sum() / (3 * len(samples.prior))
     torch.testing.assert_close(model_loss(model, samples, LossTerms(photometric=False)), expected)
 
 
@@ -209,7 +211,7 @@ def two_distances(near: int, far: int) -> tuple[RayCache, np.ndarray]:
         (v > u).astype(np.int32),
         np.rint(bary * 65535.0).astype(np.uint16),
         srgb,
-        srgb,
+        np.pad(srgb, [(0, 0), (0, 1)], constant_values=1.0),
         footprint,
         finest,
     )

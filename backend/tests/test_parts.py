@@ -6,9 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from dante_w.plan import Decision
 from dante_w.traced.groups import first_groups
 from dante_w.traced.lights import Parts
-from dante_w.traced.parts import BOUNCED, Decision, choose_parts
+from dante_w.traced.parts import BOUNCED, Fixed, choose_parts
 from open_world import PHOTOS, POINTS, World, make_world
 
 
@@ -18,20 +19,21 @@ def few_directions(monkeypatch):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 32)
 
 
-def planned(world: World, **fixed: bool) -> tuple[Parts, dict[str, Decision]]:
+def planned(world: World, **chosen: bool) -> tuple[Parts, dict[str, Decision]]:
     said: list[float] = []
-    parts, decisions = choose_parts(
+    parts, decisions, lights = choose_parts(
         world.cameras,
         world.points,
         world.seen,
         world.transfer,
         None,
         first_groups(world.seen, len(world.points), len(world.cameras)),
-        fixed,
+        {name: Fixed(on) for name, on in chosen.items()},
         0,
         lambda done, total: said.append(done / total),
     )
     assert said == sorted(said) and said[-1] == 1.0
+    assert (lights > 1) == parts.groups and lights <= len(world.cameras)
     assert [decision.what for decision in decisions] == list(vars(Parts()))
     assert all(decision.choice and decision.reason and decision.costs for decision in decisions)
     return parts, {decision.what: decision for decision in decisions}
@@ -48,12 +50,26 @@ def test_what_photos_differ_in_is_modelled(lights, exposures):
     assert not parts.bounce and said["bounce"].reason.startswith("0%")
 
 
+@pytest.mark.parametrize("matte", [False, True])
+def test_under_one_light_held_out_photos_tell_gloss(matte):
+    parts, said = planned(make_world(1, 0.35, matte=matte))
+    assert not parts.groups and parts.gloss != matte
+    assert "dB" in said["gloss"].reason
+    assert planned(make_world(1, 0.35, matte=matte), gloss=matte)[0].gloss == matte
+
+
+def test_under_several_lights_gloss_is_modelled():
+    assert planned(make_world(3, 0.35, matte=True))[0].gloss
+
+
 def test_what_the_user_says_stands():
     one, many = make_world(1, 0.0), make_world(3, 0.35)
     parts, said = planned(one, groups=True, exposures=True, bounce=True)
-    assert parts == Parts()
+    assert dataclasses.replace(parts, sun=True) == Parts()
     parts, _ = planned(many, groups=False, gloss=False)
-    assert parts == Parts(groups=False, exposures=True, bounce=False, gloss=False)
+    assert dataclasses.replace(parts, sun=False) == Parts(
+        False, exposures=True, bounce=False, gloss=False, sun=False
+    )
     assert {name for name, each in said.items() if each.reason == "you chose it"} == {
         "groups",
         "exposures",

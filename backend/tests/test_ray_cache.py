@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 from conftest import CAMERA, make_scene, pose
+from dante_w.cli import main
 from dante_w.errors import BadInput
-from dante_w.rays import ray_cache
+from dante_w.rays import ray_cache, raycast
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.load import load_scene
 from dante_w.scene.scene_folder import Frame
@@ -132,12 +133,13 @@ def test_priors_are_resized_to_their_photo(tmp_path):
 
     folder = make_scene(tmp_path / "scene", photos=2)
     (tmp_path / "priors").mkdir()
-    write_png(tmp_path / "priors/0.png", np.full((18, 24, 3), 128, np.uint8))
+    write_png(tmp_path / "priors/0.png", np.full((18, 24, 3), 128, np.uint8))  # without alpha: to be trusted
     loaded, mesh = load_scene(folder, priors=tmp_path / "priors")
     cache = ray_cache.trace(mesh, loaded.frames, lambda *_: None, lambda _: None, tmp_path)
     prior = cache.samples(np.arange(len(cache)), CPU).prior
     first = cache.starts[1]
-    np.testing.assert_allclose(prior[:first], 128 / 255, atol=1e-3)
+    np.testing.assert_allclose(prior[:first, :3], 128 / 255, atol=1e-3)
+    assert (prior[:first, 3] == 1.0).all()
     assert torch.isnan(prior[first:]).all()
 
 
@@ -147,3 +149,13 @@ def test_rays_without_direction_hit_nothing(scene):
     hits = caster.cast(np.array([0.5, 0.5, 1.0]), np.array([[np.nan, 0, -1], [0, 0, -2.0], [0, 0, 1]]))
     assert hits.ray.tolist() == [1]
     assert hits.distance[0] == pytest.approx(0.25)  # the square lies at z = 0.5 of its unit cube
+
+
+@pytest.mark.parametrize("size", [1 << 45, 1 << 62])  # more than there is, more than a number of bytes may be
+def test_no_memory_for_the_mesh_is_said_before_embree_crashes(scene, tmp_path, monkeypatch, capsys, size):
+    monkeypatch.setattr(raycast, "BYTES_PER_TRIANGLE", size)
+    mesh = load_scene(scene)[1]
+    with pytest.raises(MemoryError):
+        Raycaster(mesh, Frame3D.around(mesh))
+    assert main(["average", str(scene), "--out", str(tmp_path / "out")]) == 4
+    assert "memory" in capsys.readouterr().err.splitlines()[-1]

@@ -176,8 +176,8 @@ def test_a_light_solve_that_rounding_breaks_is_damped_until_it_holds():
         torch.tensor([(1.0, 2.0, 3.0), (0.5, -1.0, 2.0), (3.0, 0.1, 1.0)], dtype=torch.float64)
     )[0]
     right = torch.ones(3, dtype=torch.float64)
-    change = _solved(turn @ torch.diag(values) @ turn.T, right, 1e-3)
-    assert np.isfinite(change).all()
+    change, harder = _solved(turn @ torch.diag(values) @ turn.T, right, 1e-3)
+    assert np.isfinite(change).all() and harder > 1.0
     with pytest.raises(DanteError, match="cannot be solved"):
         _solved(torch.full((3, 3), torch.nan, dtype=torch.float64), right, 1e-3)
 

@@ -41,7 +41,8 @@ class World:
         cache = self.cache if colour is None else dataclasses.replace(self.cache, colour=colour)
         cache, cameras = turned(cache, order), CAMERAS[order]
         points, seen = gather(cache, cameras, weights)
-        transfer = trace_transfer(points, Raycaster(MESH, FRAME), UVS, 64, lambda _: None)
+        caster = Raycaster(MESH, FRAME)
+        transfer = trace_transfer(points, caster, UVS, 64, lambda _: None)
         lights = Lights(
             RADIANCE,
             (np.arange(PHOTOS) % 2)[order],
@@ -52,7 +53,17 @@ class World:
         )
         footprint = np.full(len(cache), 1.5 / SIZE, np.float32)
         return albedo_texture(
-            cache, footprint, points, transfer, lights, cameras, SIZE, lambda _: None, seen, weights=weights
+            cache,
+            footprint,
+            points,
+            transfer,
+            lights,
+            cameras,
+            SIZE,
+            lambda _: None,
+            seen,
+            caster,
+            weights=weights,
         )
 
 

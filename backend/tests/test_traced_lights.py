@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 from dante_w.errors import BadInput
 from dante_w.traced.gloss import sheen
-from dante_w.traced.lights import BRIGHTEST, FEWEST_PHOTOS, TOP, KnownAlbedo, Lights, Parts, solve_lights
+from dante_w.traced.lights import (
+    BRIGHTEST,
+    FEWEST_PHOTOS,
+    LEVEL_TRUST,
+    TOP,
+    KnownAlbedo,
+    Lights,
+    Parts,
+    solve_lights,
+)
 from dante_w.traced.shading_points import Observations
 from open_world import DIRECTIONS, LIGHTS, PHOTOS, POINTS, World, make_world, unit
 
@@ -68,8 +77,10 @@ def test_albedo_is_recovered_up_to_a_gain(world, found):
 def test_sheen_tells_the_level_of_albedo(top):
     dark = make_world(top=top)
     found = solved(dark)
-    assert abs(found.top - top) < 0.5 * abs(TOP - top), "nearer than the rule for the brightest points"
-    np.testing.assert_allclose(found.albedo[found.known].mean() / dark.albedo.mean(), 1.0, atol=0.15)
+    told = np.log(found.top / TOP) / LEVEL_TRUST  # it is told whole here, and believed in part
+    assert told == pytest.approx(np.log(top / TOP), abs=0.15)
+    ratio = found.albedo[found.known].mean() / dark.albedo.mean()
+    assert ratio == pytest.approx((TOP / top) ** (1.0 - LEVEL_TRUST), rel=0.1)
 
 
 def test_each_light_is_found_once_and_relative_exposures_are_right(world, found):

@@ -19,8 +19,11 @@ def colours() -> np.ndarray:
     return np.random.default_rng(2).uniform(0.1, 0.4, (CELLS * CELLS, 3))
 
 
-def cache_of(priors: list[np.ndarray | None], cells: list[np.ndarray]) -> RayCache:
-    """One pixel in the middle of each cell that a view sees, and its linear prior there; None: a view without one."""
+def cache_of(
+    priors: list[np.ndarray | None], cells: list[np.ndarray], trust: np.ndarray | None = None
+) -> RayCache:
+    """One pixel in the middle of each cell that a view sees, and its linear prior there; None: a view without one. All views
+    are to be trusted as far as `trust` (N,) says."""
     triangle = np.array([[(0, 0), (1, 0), (0, 1)]], np.float64)
     surface = Surface(
         torch.from_numpy(triangle).float(),
@@ -29,7 +32,9 @@ def cache_of(priors: list[np.ndarray | None], cells: list[np.ndarray]) -> RayCac
     cell = np.concatenate(cells)
     uv = (np.stack([cell % CELLS, cell // CELLS], axis=1) + 0.5) / SIDE
     prior = [
-        np.full((len(own), 3), np.nan) if linear is None else srgb_from_linear_array(linear)
+        np.full((len(own), 4), np.nan)
+        if linear is None
+        else np.column_stack([srgb_from_linear_array(linear), np.ones(len(own)) if trust is None else trust])
         for linear, own in zip(priors, cells, strict=True)
     ]
     return RayCache(
@@ -113,6 +118,28 @@ def test_pixels_that_are_not_a_number_and_points_without_a_prior():
     np.testing.assert_allclose(found.trust[:5], 0.0)
     np.testing.assert_allclose(found.trust[5:], 2.0 * TRUST / ENOUGH_VIEWS)
     np.testing.assert_allclose(found.log_albedo[5:], np.log(colours()[5:]), atol=0.01)
+
+
+def test_what_is_not_to_be_trusted_counts_less():
+    """Half of the cells are wrong in two of three views, and these say so."""
+    wrong = np.arange(CELLS * CELLS) % 2 == 0
+    odd = np.where(wrong[:, None], 3.0 * colours(), colours())
+    unsure = np.where(wrong, 0.01, 1.0)
+    views = [cache_of([odd], EVERYTHING[:1], unsure), cache_of([colours()], EVERYTHING[:1])]
+    order = views[0], views[1], views[0]
+    cache = RayCache(
+        views[0].surface,
+        CELLS * CELLS * np.arange(4),
+        *(
+            np.concatenate([getattr(view, name) for view in order])
+            for name in ("face", "bary", "colour", "prior")
+        ),
+    )
+    found = known_albedo(cache, points_of(cache))
+    assert found is not None
+    np.testing.assert_allclose(found.log_albedo, np.log(colours()), atol=0.1)  # log(7 / 3) = 0.85 otherwise
+    np.testing.assert_allclose(found.trust[wrong], 1.02 * TRUST / ENOUGH_VIEWS, rtol=1e-3)
+    np.testing.assert_allclose(found.trust[~wrong], 3.0 * TRUST / ENOUGH_VIEWS, rtol=1e-3)
 
 
 def test_no_priors_tell_nothing():

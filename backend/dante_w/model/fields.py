@@ -30,6 +30,11 @@ class ModelSpec:
     hidden: int = 64
     embedding: int = 8
 
+    @property
+    def albedo_grid(self) -> GridSpec:
+        """The grid of the albedo, whichever it is."""
+        return self.albedo.grid if isinstance(self.albedo, PyramidSpec) else self.albedo
+
 
 class AlbedoField(nn.Module):
     """a = sigmoid(MLP(hash2D(u))), Eq. 3, or the sigmoid of a pyramid's sum: texture coordinates (N, 2) to albedo

@@ -175,7 +175,7 @@ def _batch(samples: Samples) -> Batch:
         _array(samples.uv),
         _array(samples.position),
         _array(samples.colour),
-        np.empty((0, 3), np.float32) if samples.prior is None else _array(samples.prior),
+        np.empty((0, 4), np.float32) if samples.prior is None else _array(samples.prior),
         np.ones(len(samples.uv), np.float32) if samples.weight is None else _array(samples.weight),
     )
 

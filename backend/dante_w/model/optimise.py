@@ -58,7 +58,7 @@ def model_loss(model: Model, samples: Samples, terms: LossTerms) -> torch.Tensor
     without priors.
 
     gamma is the sRGB transfer; albedo is compared in linear colour. Photos without a prior leave out the second
-    term.
+    term, and a prior's own trust weighs it.
     """
     albedo = model.albedo(samples.uv)
     weight = albedo.new_ones(()) if samples.weight is None else samples.weight[:, None]
@@ -77,9 +77,10 @@ def model_loss(model: Model, samples: Samples, terms: LossTerms) -> torch.Tensor
         if terms.small_offset > 0.0:
             loss = loss + terms.small_offset * mean(model.offset[samples.photo].abs())
     if samples.prior is not None and terms.prior_weight > 0.0:
-        known = torch.isfinite(samples.prior)
-        difference = albedo - linear_from_srgb(torch.where(known, samples.prior, 0.0))
-        loss = loss + terms.prior_weight * mean(torch.where(known, difference, 0.0).abs())
+        prior, trust = samples.prior[:, :3], samples.prior[:, 3:]
+        known = torch.isfinite(prior) & torch.isfinite(trust)
+        difference = albedo - linear_from_srgb(torch.where(known, prior, 0.0))
+        loss = loss + terms.prior_weight * mean(torch.where(known, trust, 0.0) * difference.abs())
     return loss
 
 

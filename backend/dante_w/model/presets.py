@@ -11,21 +11,22 @@ from dante_w.model.fields import ModelSpec
 from dante_w.model.hash_encoding import GridSpec
 from dante_w.model.optimise import Schedule
 from dante_w.model.pyramid import PyramidSpec
+from dante_w.rays.footprint import sharp
 from dante_w.rays.ray_cache import RayCache
 
 #: Without priors, on the four objects of the README: 0.85 dB more on average (after one gain per channel).
 WHITE_LIGHT, SMALL_OFFSET = 0.05, 0.2
 
-#: The part of the samples whose footprint may be finer than the albedo's finest level; how many are looked at. On the four
-#: objects of the README, with one seed, this costs nothing on average and saves a quarter of the fit's time.
-SHARPEST, LOOKED_AT = 0.25, 1 << 17
+#: How many samples' footprints are looked at. On the four objects of the README, with one seed, to leave out what is finer than
+#: `sharp` costs nothing on average and saves a quarter of the fit's time.
+LOOKED_AT = 1 << 17
 #: Albedo is at least this much finer than irradiance.
 LEAST_GAP = 4
 
 
 @dataclass(frozen=True)
 class Preset:
-    """`texture_size` is the default; `schedule` is the main pass, `final_pass` the one over all photos;
+    """`texture_size` is the most that a plan takes; `schedule` is the main pass, `final_pass` the one over all photos;
     `white_light` and `small_offset` (see `LossTerms`) hold for runs without priors."""
 
     texture_size: int
@@ -36,7 +37,7 @@ class Preset:
     small_offset: float = 0.0
 
 
-def _sized(albedo_finest: int, log2_table: int, steps: int, batch: int) -> Preset:
+def _sized(albedo_finest: int, log2_table: int, steps: int, batch: int, texture_size: int = 2048) -> Preset:
     """A model that two CPU cores can fit. Measured without priors, irradiance that ends at resolution 16
     beats 8 and 32 on the mean of four objects and 64 on that of three; a rate of 1e-2 gets in 400 steps to half
     the loss of 2e-3."""
@@ -46,7 +47,7 @@ def _sized(albedo_finest: int, log2_table: int, steps: int, batch: int) -> Prese
         hidden=32,
     )
     return Preset(
-        2048,
+        texture_size,
         model,
         Schedule(steps, batch, 1e-2),
         Schedule(steps // 4, batch, 2e-3),
@@ -57,19 +58,19 @@ def _sized(albedo_finest: int, log2_table: int, steps: int, batch: int) -> Prese
 
 def equal_bands(model: ModelSpec) -> ModelSpec:
     """The paper's ablation: irradiance with the albedo's resolutions, so that nothing tells them apart."""
-    albedo = model.albedo.grid if isinstance(model.albedo, PyramidSpec) else model.albedo
+    albedo = model.albedo_grid
     fine = replace(model.irradiance, levels=albedo.levels, finest=albedo.finest)
     return replace(model, irradiance=fine)
 
 
 def sized(model: ModelSpec, texture_size: int, cache: RayCache) -> ModelSpec:
-    """`model` with albedo no finer than the texture, nor than all but `SHARPEST` of the photos' pixels: what is finer
+    """`model` with albedo no finer than the texture, nor than the sharper photos' pixels: what is finer
     costs time and holds noise. Growth from level to level stays, and so does the gap to the irradiance."""
     albedo = model.albedo
     finest = min(albedo.finest, texture_size)
     if cache.footprint is not None:
         some = cache.footprint[:: max(len(cache) // LOOKED_AT, 1)].astype(np.float32)
-        finest = min(finest, math.ceil(1.0 / max(float(np.quantile(some, SHARPEST)), 1.0 / finest)))
+        finest = min(finest, math.ceil(1.0 / max(sharp(some), 1.0 / finest)))
     finest = max(finest, min(albedo.finest, LEAST_GAP * model.irradiance.finest), albedo.coarsest)
     if isinstance(albedo, PyramidSpec) or albedo.levels == 1:
         return replace(model, albedo=replace(albedo, finest=finest))
@@ -81,7 +82,7 @@ def sized(model: ModelSpec, texture_size: int, cache: RayCache) -> ModelSpec:
 PRESETS = {
     "draft": _sized(albedo_finest=1024, log2_table=17, steps=150, batch=1 << 15),
     "standard": _sized(albedo_finest=2048, log2_table=19, steps=500, batch=1 << 15),
-    "high": _sized(albedo_finest=4096, log2_table=21, steps=2500, batch=1 << 16),
+    "high": _sized(albedo_finest=4096, log2_table=21, steps=2500, batch=1 << 16, texture_size=8192),
     # the released reference: grids, decoders, rays a step; 1000 steps a pass, up to 20 passes
     "paper": Preset(
         2048,

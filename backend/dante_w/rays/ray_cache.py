@@ -1,8 +1,9 @@
 """The ray cache: every foreground pixel of every photo and the surface point it sees, traced once.
 
-A sample takes 17 bytes, or 23 with a prior: the face (int32) and two barycentric weights (uint16) give texture
-coordinate, position and normal; the photo's colour and the prior's albedo are three halves each, sRGB-encoded; the
-pixel's footprint on the texture is a half; its distance in the photo to the next edge in depth is a byte.
+A sample takes 17 bytes, or 25 with a prior: the face (int32) and two barycentric weights (uint16) give texture
+coordinate, position and normal; the photo's colour and the prior's albedo are three halves each, sRGB-encoded, and
+how far the prior is to be trusted there is one; the pixel's footprint on the texture is a half; its distance in the
+photo to the next edge in depth is a byte.
 Samples lie photo after photo in raster order, so the photo needs no storage either, and neighbours on the
 surface are neighbours in memory.
 """
@@ -12,8 +13,9 @@ from __future__ import annotations
 import mmap
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -25,7 +27,7 @@ from dante_w.rays.edges import edge_distances
 from dante_w.rays.levels import levelled
 from dante_w.rays.raycast import Frame3D, Hits, Raycaster
 from dante_w.scene.cameras import directions
-from dante_w.scene.images import Photo, read_photo
+from dante_w.scene.images import Photo, read_photo, read_prior
 from dante_w.scene.mesh import Mesh
 from dante_w.scene.scene_folder import Frame
 
@@ -50,7 +52,7 @@ _FIELDS = {
     "footprint": (np.float16, ()),
     "edge": (np.uint8, ()),
 }
-_PRIOR = {"prior": (np.float16, (3,))}
+_PRIOR = {"prior": (np.float16, (4,))}
 
 
 @dataclass(frozen=True)
@@ -64,9 +66,9 @@ class Surface:
 
 @dataclass(frozen=True)
 class Samples:
-    """A batch: photo index (N,), texture coordinate (N, 2), position in the unit cube (N, 3), photo colour and
-    prior albedo (N, 3), both sRGB-encoded; `prior` is None without priors, NaN where a photo has none. `weight` (N,)
-    is how much a sample counts, see `RayCache.finest`; None: all alike."""
+    """A batch: photo index (N,), texture coordinate (N, 2), position in the unit cube (N, 3), photo colour (N, 3) and prior
+    albedo with its trust in [0, 1] (N, 4), colours sRGB-encoded; `prior` is None without priors, NaN where a photo has none.
+    `weight` (N,) is how much a sample counts, see `RayCache.finest`; None: all alike."""
 
     photo: torch.Tensor
     uv: torch.Tensor
@@ -102,6 +104,14 @@ class RayCache:
 
     def __len__(self) -> int:
         return int(self.starts[-1])
+
+    def of(self, keep: np.ndarray) -> RayCache:
+        """The samples (M,) with these numbers, in ascending order; a photo may be left with none."""
+        columns = {name: getattr(self, name) for name in (*_FIELDS, *_PRIOR)}
+        kept: dict[str, Any] = {
+            name: None if column is None else column[keep] for name, column in columns.items()
+        }
+        return replace(self, starts=np.searchsorted(keep, self.starts), **kept)
 
     def forget(self) -> None:
         """Give back the memory of what was read from files; it is read again when it is asked for."""
@@ -226,8 +236,10 @@ def trace(
             columns["footprint"].append(footprint.clip(0.0, HALF_MAX))
             columns["edge"].append(edge)
             if "prior" in columns:
-                empty = np.full((len(pixel), 3), np.nan, np.float16)
-                columns["prior"].append(empty if prior is None else _prior_colours(prior, pixel))
+                empty = np.full((len(pixel), 4), np.nan, np.float16)
+                columns["prior"].append(
+                    empty if prior is None else prior.reshape(-1, 4)[pixel].clip(0.0, 1.0)
+                )
             counts.append(len(pixel))
             looked = looked or bool(photo.foreground.any())
             uv = _interpolate(mesh.uvs, face, bary)
@@ -291,14 +303,11 @@ class _Column:
         return np.memmap(self._file, self._kind, "r", shape=(self._rows, *self._shape))
 
 
-def _read(frame: Frame) -> tuple[Photo, Photo | None]:
+def _read(frame: Frame) -> tuple[Photo, np.ndarray | None]:
     photo = read_photo(frame.image, frame.mask)
     if frame.albedo is None:
         return photo, None
-    prior = read_photo(frame.albedo)
-    prior.srgb[~prior.foreground] = np.nan  # unknown, not black
-    size = (frame.camera.width, frame.camera.height)
-    return photo, Photo(_resize(prior.srgb, size), np.ones(size[::-1], bool))
+    return photo, _resize(read_prior(frame.albedo), (frame.camera.width, frame.camera.height))
 
 
 def _resize(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -308,10 +317,6 @@ def _resize(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     planes = torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1)[None]
     resized = torch.nn.functional.interpolate(planes, size[::-1], mode="bilinear", antialias=True)
     return resized[0].permute(1, 2, 0).contiguous().numpy()
-
-
-def _prior_colours(prior: Photo, pixel: np.ndarray) -> np.ndarray:
-    return prior.srgb.reshape(-1, 3)[pixel].clip(0.0, 1.0)
 
 
 def _trace_photo(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -14,6 +15,8 @@ from dante_w.scene.mesh import Mesh
 
 #: Rays in one Embree call: enough to amortise it, few enough to spread over threads.
 CHUNK = 1 << 17
+#: Address space that Embree takes for a scene at least, and about that for each triangle while it builds.
+OVERHEAD, BYTES_PER_TRIANGLE = 192 << 20, 400
 #: Rays from further off than this, in sides of the unit cube, begin nearer: in float32 they would miss their pixels.
 FAR = 4.0
 
@@ -46,6 +49,18 @@ class Frame3D:
         return (np.asarray(points, np.float64) - self.origin) / self.extent
 
 
+def _make_sure_of_room(triangles: int) -> None:
+    """Embree crashes where it finds no memory.
+
+    Raises:
+        MemoryError: it would.
+    """
+    try:
+        mmap.mmap(-1, OVERHEAD + triangles * BYTES_PER_TRIANGLE).close()
+    except (OSError, OverflowError) as error:
+        raise MemoryError("out of memory for the mesh") from error
+
+
 @dataclass(frozen=True)
 class Hits:
     """First hits of a bundle of rays. `ray` are the indices (M,) of the rays that met the mesh; for those,
@@ -59,9 +74,14 @@ class Hits:
 
 
 class Raycaster:
-    """An Embree scene over a mesh in its unit cube (`Frame3D`)."""
+    """An Embree scene over a mesh in its unit cube (`Frame3D`).
+
+    Raises:
+        MemoryError: there is none for it.
+    """
 
     def __init__(self, mesh: Mesh, frame: Frame3D) -> None:
+        _make_sure_of_room(len(mesh.faces))
         self._scene = EmbreeScene()
         vertices = frame.normalise(mesh.vertices).astype(np.float32)
         self._mesh = TriangleMesh(self._scene, vertices, mesh.faces.astype(np.int32))
@@ -116,6 +136,15 @@ class Raycaster:
         """(N,) bool: whether rays, float32 (N, 3), hit anything; otherwise as `first`."""
         found: np.ndarray = self._scene.run(origins, directions, query="OCCLUDED")
         return found >= 0
+
+    def all_blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """As `blocked`, on all cores."""
+        starts = range(0, len(origins), CHUNK)
+        parts = self._threads.map(
+            lambda start: self.blocked(origins[start : start + CHUNK], directions[start : start + CHUNK]),
+            starts,
+        )
+        return np.concatenate([np.zeros(0, bool), *parts])
 
     def _cast(self, origins: np.ndarray, directions: np.ndarray) -> dict[str, np.ndarray]:
         found: dict[str, np.ndarray] = self._scene.run(origins, directions, query="INTERSECT", output=True)

@@ -76,6 +76,22 @@ def read_photo(path: Path, mask: Path | None = None) -> Photo:
     return Photo(srgb, foreground, linear)
 
 
+def read_prior(path: Path) -> np.ndarray:
+    """Read a picture of albedo: float32 (H, W, 4), sRGB-encoded, and how far each pixel is to be trusted: its alpha, 1
+    without any. NaN where that is 0 or a colour is not finite.
+
+    Raises:
+        BadInput: the file is missing, damaged or too large.
+        OutOfRoom: the picture does not fit in memory.
+    """
+    colour, alpha, linear = _read(path)
+    srgb = srgb_from_linear_array(colour) if linear else colour
+    trust = np.ones(srgb.shape[:2], np.float32) if alpha is None else np.clip(alpha, 0.0, 1.0)
+    prior = np.concatenate([srgb, trust[..., None]], axis=2, dtype=np.float32)
+    prior[~(np.isfinite(prior).all(axis=2) & (trust > 0.0))] = np.nan
+    return prior
+
+
 def read_texture(path: Path) -> np.ndarray:
     """Any texture as float32 linear Rec.709 (H, W, 3); integer files are decoded from sRGB.
 

@@ -1,7 +1,8 @@
 """The albedo texture from every pixel of the photos, once their lights are known.
 
 Each pixel's colour, less its sheen, is divided by the irradiance at its surface point; the texture is the weighted mean.
-Irradiance is taken with the pixel's own face normal and the visibility of its shading point. How far pixels are trusted,
+Irradiance is taken with the pixel's own face normal and the visibility of its shading point,
+or of its own where a sun shines. How far pixels are trusted,
 `robust` says: each photo's mean colours over shading points are held against those of the others.
 """
 
@@ -15,12 +16,13 @@ from numba import prange
 from dante_w.color import linear_from_srgb_array
 from dante_w.jit import njit_parallel
 from dante_w.rays.ray_cache import RayCache
+from dante_w.rays.raycast import Raycaster
 from dante_w.texture.average import PhotoAverage
 from dante_w.traced import robust
 from dante_w.traced.gloss import sheen
 from dante_w.traced.lights import ABSOLUTE, Lights
 from dante_w.traced.shading_points import Observations, ShadingPoints, face_normals, located, view
-from dante_w.traced.transfer import Transfer
+from dante_w.traced.transfer import Transfer, sunlit
 
 #: Albedo is physically below 1; noise in the dark is not.
 HIGHEST = 2.0
@@ -41,6 +43,7 @@ def albedo_texture(
     size: int,
     progress: Callable[[float], None],
     seen: Observations,
+    caster: Raycaster | None = None,
     glossy: bool = True,
     weights: robust.Weights = robust.ALL,
 ) -> np.ndarray:
@@ -49,6 +52,7 @@ def albedo_texture(
     Args:
         footprints: (N,) of the cache's samples, as fractions of the texture's side.
         seen: what all photos show of the points, as `gather` has it.
+        caster: of the mesh, for the edges of suns' shadows; needed where the transfer has suns.
         glossy: whether the lights were solved with sheen.
     """
     normals = face_normals(cache.surface.positions.numpy())
@@ -66,7 +70,7 @@ def albedo_texture(
         facing = normals[face]
         away = ((cameras[photo] - place) * facing).sum(axis=1, keepdims=True) < 0.0
         facing = np.where(away, -facing, facing)
-        irradiance = _irradiance(point, facing, transfer.directions, transfer.visible, lights.radiance[light])
+        irradiance = irradiance_of(point, place, facing, transfer, lights.radiance[light], caster)
         irradiance += lights.bounce[point, light]
         srgb = np.asarray(cache.colour[part], np.float32)
         colour = linear_from_srgb_array(srgb)
@@ -120,7 +124,14 @@ def _sheen(
     towards = points.towards(seen.point, cameras[seen.photo])
     light = lights.light[seen.photo]
     return sheen(
-        seen.point, light, towards, points.normal, transfer.directions, transfer.visible, lights.radiance
+        seen.point,
+        light,
+        towards,
+        points.normal,
+        transfer.directions,
+        transfer.visible,
+        lights.radiance,
+        transfer.suns,
     )
 
 
@@ -134,11 +145,23 @@ def _log_albedo(
     return np.log(diffuse / lit[seen.point, lights.light[seen.photo]]), noise
 
 
-def _irradiance(
-    point: np.ndarray, normals: np.ndarray, directions: np.ndarray, visible: np.ndarray, radiance: np.ndarray
+def irradiance_of(
+    point: np.ndarray,
+    place: np.ndarray,
+    normals: np.ndarray,
+    transfer: Transfer,
+    radiance: np.ndarray,
+    caster: Raycaster | None,
 ) -> np.ndarray:
+    """(N, 3) direct light of `radiance` (D, 3) on pixels (N, 3): the sphere's as their shading points see it, a sun's by
+    rays of their own."""
     out = np.zeros((len(point), 3), np.float32)
-    _sum_light(point, normals, directions, visible, radiance, out)
+    parts = transfer.parts
+    _sum_light(point, normals, transfer.directions[:parts], transfer.visible, radiance[:parts], out)
+    for sun, strength in zip(transfer.directions[parts:], radiance[parts:], strict=True):
+        if caster and strength.max() > DARKEST:
+            seen = np.maximum(normals @ sun, 0.0) * sunlit(place, normals, caster, sun)
+            out += np.float32(transfer.share) * seen[:, None] * strength
     return out
 
 

@@ -30,11 +30,8 @@ def laplacian(position: np.ndarray, log_albedo: np.ndarray, generator: np.random
     first = np.repeat(np.arange(count), near + far)
     anywhere = (np.arange(count)[:, None] + generator.integers(1, max(count, 2), (count, far))) % count
     second = np.concatenate([_nearest(position, near), anywhere], axis=1).reshape(-1)
-    apart = log_albedo[first] - log_albedo[second]
-    brightness = apart.mean(axis=1)
-    colour = np.square(apart - brightness[:, None]).sum(axis=1)
     weight = np.tile(np.r_[np.ones(near), np.full(far, FAR_WEIGHT)], count) * (WEIGHT / (NEAR + FAR))
-    weight /= 1.0 + np.square(brightness / BRIGHTNESS) + colour / COLOUR**2
+    weight *= agreement(log_albedo[first] - log_albedo[second])
     total = np.bincount(first, weight, count) + np.bincount(second, weight, count)
     everyone = np.arange(count)
     rows, columns = np.r_[first, second, everyone], np.r_[second, first, everyone]
@@ -42,6 +39,13 @@ def laplacian(position: np.ndarray, log_albedo: np.ndarray, generator: np.random
     indices = torch.from_numpy(np.stack([rows, columns]))
     pairs = torch.sparse_coo_tensor(indices, torch.from_numpy(values), (count, count), check_invariants=False)
     return pairs.coalesce()
+
+
+def agreement(apart: np.ndarray) -> np.ndarray:
+    """(P,) between 0 and 1: how likely pairs of points that differ by so much (P, 3) in log albedo are of one material."""
+    brightness = apart.mean(axis=1)
+    colour = np.square(apart - brightness[:, None]).sum(axis=1)
+    return np.asarray(1.0 / (1.0 + np.square(brightness / BRIGHTNESS) + colour / COLOUR**2))
 
 
 def _nearest(position: np.ndarray, count: int) -> np.ndarray:

@@ -23,13 +23,14 @@ def sheen(
     directions: np.ndarray,
     visible: np.ndarray,
     radiance: np.ndarray,
+    suns: int = 0,
 ) -> np.ndarray:
     """(M, 3) float32 linear colour that M observations owe to gloss.
 
     Args:
         point: (M,) indices of shading points. light: (M,) indices of lights.
         towards: (M, 3) unit vectors to the camera. normals: (C, 3) of the points.
-        directions: (D, 3). visible: (C, D). radiance: (J, D, 3) of the lights.
+        directions: (D, 3). visible: (C, D). radiance: (J, D, 3) of the lights. suns: see `Transfer`.
     """
     out = np.empty((len(point), 3), np.float32)
     _sheen(
@@ -42,6 +43,7 @@ def sheen(
         np.ascontiguousarray(np.moveaxis(radiance, 2, 1), np.float32),
         np.float32(ALPHA),
         np.float32(REFLECTANCE),
+        np.float32(1.0 / (len(directions) - suns)),
         out,
     )
     return out
@@ -58,9 +60,10 @@ def _sheen(
     radiance: np.ndarray,
     alpha: float,
     reflectance: float,
+    part: float,
     out: np.ndarray,
 ) -> None:
-    """As `sheen`, with directions (3, D) and radiance (J, 3, D): the inner loop is SIMD in float32, so it has no branch."""
+    """As `sheen`, with directions (3, D), each one `part` of the sphere, and radiance (J, 3, D): the inner loop is SIMD in float32, so it has no branch."""
     zero, one = np.float32(0.0), np.float32(1.0)
     k = np.float32(0.5) * alpha
     sharp = alpha * alpha
@@ -88,5 +91,5 @@ def _sheen(
             red += value * emitted[0, d]
             green += value * emitted[1, d]
             blue += value * emitted[2, d]
-        share = sharp / (np.float32(count) * (nv * (one - k) + k))
+        share = part * sharp / (nv * (one - k) + k)
         out[m, 0], out[m, 1], out[m, 2] = red * share, green * share, blue * share

@@ -84,5 +84,6 @@ def _gloss(
         transfer.directions,
         transfer.visible,
         lights.radiance,
+        transfer.suns,
     )
     return gloss.reshape(number, count, 3).transpose(1, 0, 2)

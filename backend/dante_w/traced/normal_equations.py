@@ -28,6 +28,8 @@ TRUST = 0.1 / 0.15**2
 UNSURE_LEVEL = 0.35
 #: What the damping is multiplied with where that much of it gives no step.
 HARDER = (1e3, 1e6)
+#: Standard deviation of a step of a sun's log radiance, of which nothing is known beforehand.
+SUN_STEP = 0.3
 #: No log radiance changes by more than this in a step.
 LONGEST_STEP = 1.5
 
@@ -38,7 +40,8 @@ class Equations:
     (M, 3) as above; `direct` (C, D); `irradiance` (C, J, 3) of the lights with `radiance` (J, D, 3); `light` (K,) of
     each photo; `level` (M, 3) how the log of what is shown answers, divided by f, to the log of albedo's level: more of
     it is bounced, less is sheen; `known` (C, 3) weight and `known_residual` (C, 3) of what a prior says of log albedo;
-    `log_albedo` (C, 3) at present, and `even` (C, C) how far pairs of points are to agree in it, see `evenness`.
+    `log_albedo` (C, 3) at present, and `even` (C, C) how far pairs of points are to agree in it, see `evenness`. The last of the D
+    directions are `suns`.
     """
 
     point: np.ndarray
@@ -54,6 +57,7 @@ class Equations:
     known_residual: np.ndarray
     log_albedo: np.ndarray
     even: torch.Tensor
+    suns: int = 0
 
 
 @dataclass(frozen=True)
@@ -64,13 +68,16 @@ class ExposurePrior:
     deviation: float
 
 
-def prior_precision(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse covariances (D, D) of brightness and of colour over the sphere."""
-    apart = np.arccos(np.clip(directions @ directions.T, -1.0, 1.0)).astype(np.float64)
+def prior_precision(directions: np.ndarray, suns: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse covariances (D, D) of brightness and of colour over the sphere, and of how far suns, the last of the directions,
+    may go in a step."""
+    parts = directions[: len(directions) - suns]
+    apart = np.arccos(np.clip(parts @ parts.T, -1.0, 1.0)).astype(np.float64)
 
     def inverse(deviation: float, length: float, mean: float) -> np.ndarray:
         covariance = deviation**2 * np.exp(-apart / length) + mean**2 + 1e-4 * np.eye(len(apart))
-        return np.asarray(np.linalg.inv(covariance))
+        padded = np.pad(np.linalg.inv(covariance), (0, suns))
+        return padded + np.diag(np.r_[np.zeros(len(parts)), np.full(suns, SUN_STEP**-2)])
 
     return inverse(*BRIGHTNESS, LEVEL), inverse(*COLOUR, MEAN_COLOUR)
 
@@ -81,8 +88,9 @@ def step(
     expected: ExposurePrior,
     precision: tuple[np.ndarray, np.ndarray],
     damping: float,
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """The changes of log radiance (J, D, 3), of exposure (K,) and of the log of albedo's level."""
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """The changes of log radiance (J, D, 3), of exposure (K,) and of the log of albedo's level; and 1, or one over
+    what the damping had to be multiplied with."""
     lights, count, _ = equations.radiance.shape
     size, photos = lights * count, len(exposure)
     unknowns = 3 * size + photos + 1  # the last one is the level's
@@ -91,15 +99,18 @@ def step(
         _add_channel(matrix, right, equations, channel, photos)
     system = torch.from_numpy(matrix).double() * TRUST
     right *= TRUST
-    _add_prior(system.numpy(), right, np.log(equations.radiance), exposure, expected, precision)
-    change = _solved(system, torch.from_numpy(right), damping)
+    log_radiance = np.log(equations.radiance)
+    log_radiance[:, count - equations.suns :] = 0.0  # suns are not pulled anywhere
+    _add_prior(system.numpy(), right, log_radiance, exposure, expected, precision)
+    change, further = _solved(system, torch.from_numpy(right), damping)
     change *= min(1.0, LONGEST_STEP / max(float(np.abs(change[: 3 * size]).max()), 1e-9))
     radiance = change[: 3 * size].reshape(3, lights, count).transpose(1, 2, 0)
-    return radiance, change[3 * size : -1], float(change[-1])
+    return radiance, change[3 * size : -1], float(change[-1]), 1.0 / further
 
 
-def _solved(system: torch.Tensor, right: torch.Tensor, damping: float) -> np.ndarray:
-    """The step (N,), damped until there is one that is finite; rounding may leave a matrix that has none.
+def _solved(system: torch.Tensor, right: torch.Tensor, damping: float) -> tuple[np.ndarray, float]:
+    """The step (N,), damped until there is one that is finite, and how much harder; rounding may leave a matrix that
+    has none.
 
     Raises:
         DanteError: there is none.
@@ -110,7 +121,7 @@ def _solved(system: torch.Tensor, right: torch.Tensor, damping: float) -> np.nda
         factor, failed = torch.linalg.cholesky_ex(system)
         change = torch.cholesky_solve(right[:, None], factor).numpy()[:, 0]
         if not failed and np.isfinite(change).all():
-            return change
+            return change, further
     raise DanteError("The photos' light cannot be solved for; take --irradiance field.")
 
 

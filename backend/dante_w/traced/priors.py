@@ -2,7 +2,8 @@
 
 A network errs alike in neighbouring pixels and, in part, in all views, so a prior weighs little beside the photos: it
 settles the level, the tint and the broad shading that photos leave open, and the photos all that is finer. Each
-view's own gain per channel, on which networks vary most, is found and taken out.
+view's own gain per channel, on which networks vary most, is found and taken out. Pixels count as far as the picture's
+alpha says they are to be trusted.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from dante_w.color import linear_from_srgb_array
 from dante_w.rays.ray_cache import RayCache
 from dante_w.traced.lights import KnownAlbedo, sums
+from dante_w.traced.robust import medians
 from dante_w.traced.shading_points import ShadingPoints, located
 
 #: What the priors of a point tell, in photos that see it (see `KnownAlbedo`), and the views from which it tells as much.
@@ -21,6 +23,8 @@ DARKEST = 3e-3
 #: Points that a view must show before half of the gain found for it is believed.
 POINTS_FOR_GAIN = 50
 ROUNDS = 4
+#: Trust of all views together below which a point's prior is nothing.
+LEAST = 1e-6
 
 
 def known_albedo(cache: RayCache, points: ShadingPoints, weight: float = 1.0) -> KnownAlbedo | None:
@@ -28,32 +32,37 @@ def known_albedo(cache: RayCache, points: ShadingPoints, weight: float = 1.0) ->
     if cache.prior is None:
         return None
     rows = [_view(cache, points, k) for k in range(len(cache.starts) - 1)]
-    point, log_prior = (np.concatenate(column) for column in zip(*rows, strict=True))
+    point, log_prior, sure = (np.concatenate(column) for column in zip(*rows, strict=True))
     if len(point) == 0:
         return None
     ends = np.cumsum([0, *(len(row[0]) for row in rows)])
     gain = np.zeros((len(rows), 3), np.float32)
-    views = np.bincount(point, minlength=len(points))
+    views = np.bincount(point, sure, len(points))
     photo = np.repeat(np.arange(len(rows)), np.diff(ends))
+    shown = np.bincount(photo, sure, len(rows))
     for _ in range(ROUNDS):
-        mean = sums(log_prior - gain[photo], point, len(points)) / np.maximum(views, 1)[:, None]
+        total = sums(sure[:, None] * (log_prior - gain[photo]), point, len(points))
+        mean = total / np.maximum(views, LEAST)[:, None]
         off = log_prior - mean[point]
-        for k in range(len(rows)):
-            shown = ends[k + 1] - ends[k]
-            if shown:
-                gain[k] = np.median(off[ends[k] : ends[k + 1]], axis=0) * shown / (shown + POINTS_FOR_GAIN)
-        gain -= gain[np.diff(ends) > 0].mean(axis=0)
+        middle = np.stack([medians(channel, sure, photo, len(rows)) for channel in off.T], axis=1)
+        gain = (middle * (shown / (shown + POINTS_FOR_GAIN))[:, None]).astype(np.float32)
+        gain -= gain[shown > 0.0].mean(axis=0)
+    # of linear albedo: views err up and down, and the mean of their logarithms is darker
+    linear = sums(sure[:, None] * np.exp(log_prior - gain[photo]), point, len(points))
+    mean = np.log(np.maximum(linear / np.maximum(views, LEAST)[:, None], DARKEST))
     trust = weight * TRUST * np.minimum(views, ENOUGH_VIEWS) / ENOUGH_VIEWS
     return KnownAlbedo(mean, trust.astype(np.float32))
 
 
-def _view(cache: RayCache, points: ShadingPoints, photo: int) -> tuple[np.ndarray, np.ndarray]:
-    """The points (N,) that one view's prior shows, and their mean log albedo (N, 3) in it."""
+def _view(cache: RayCache, points: ShadingPoints, photo: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The points (N,) that one view's prior shows, their mean log albedo (N, 3) in it, and how far this is to be trusted (N,)."""
     assert cache.prior is not None
     part = slice(cache.starts[photo], cache.starts[photo + 1])
-    srgb = np.asarray(cache.prior[part], np.float32)
+    prior = np.asarray(cache.prior[part], np.float32)
     point = points.at(located(cache, part)[1])
-    good = np.isfinite(srgb).all(axis=1) & (point >= 0)
+    good = np.isfinite(prior).all(axis=1) & (prior[:, 3] > 0.0) & (point >= 0)
+    srgb, trust = prior[good, :3], prior[good, 3:]
     shown, index, pixels = np.unique(point[good], return_inverse=True, return_counts=True)
-    linear = sums(linear_from_srgb_array(srgb[good]), index, len(shown)) / pixels[:, None]
-    return shown, np.log(np.maximum(linear, DARKEST))
+    total = np.bincount(index, trust[:, 0], len(shown))
+    linear = sums(trust * linear_from_srgb_array(srgb), index, len(shown)) / total[:, None]
+    return shown, np.log(np.maximum(linear, DARKEST)), total / pixels

@@ -108,18 +108,18 @@ def agreement(log_albedo: np.ndarray, noise: np.ndarray, point: np.ndarray, most
     return np.where(sound, np.where(most.few[point], 1.0, np.where(trust < LEAST, 0.0, trust)), 0.0)
 
 
-def medians(values: np.ndarray, weight: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """(G,) the weighted median of values (M,) in each of the groups (M,) 0 to G - 1; 0 without weight.
+def medians(values: np.ndarray, weight: np.ndarray, group: np.ndarray, groups: int = 0) -> np.ndarray:
+    """(G,) the weighted median of values (M,) in each of the groups (M,) 0 to G - 1, `groups` at least; 0 without weight.
 
     >>> medians(np.array([5.0, 1.0, 9.0, 7.0]), np.array([1.0, 1.0, 1.0, 3.0]), np.array([0, 0, 0, 1])).tolist()
     [5.0, 7.0]
     """
     order = np.lexsort((values, group))
     values, weight, group = values[order], weight[order].astype(np.float64), group[order]
-    total = np.bincount(group, weight)
+    total = np.bincount(group, weight, groups)
     below = np.concatenate([[0.0], np.cumsum(total)[:-1]])
     beyond = np.cumsum(weight) - below[group] >= (0.5 - 1e-9) * total[group]
-    groups, first = np.unique(group[beyond & (weight > 0.0)], return_index=True)
+    known, first = np.unique(group[beyond & (weight > 0.0)], return_index=True)
     found = np.zeros(len(total), values.dtype)
-    found[groups] = values[np.flatnonzero(beyond & (weight > 0.0))[first]]
+    found[known] = values[np.flatnonzero(beyond & (weight > 0.0))[first]]
     return found

@@ -18,10 +18,11 @@ from dante_w.scene.scene_folder import Frame
 from dante_w.traced.albedo import albedo_texture
 from dante_w.traced.groups import first_groups
 from dante_w.traced.held_out import place
-from dante_w.traced.lights import KnownAlbedo, Lights, Parts, solve_lights
+from dante_w.traced.lights import KnownAlbedo, Lights, Parts, evidence, solve_lights
 from dante_w.traced.priors import known_albedo
 from dante_w.traced.shading_points import Observations, ShadingPoints, gather, thinned
-from dante_w.traced.transfer import Transfer, trace_transfer
+from dante_w.traced.sun import with_own_suns
+from dante_w.traced.transfer import Transfer, trace_transfer, with_suns
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,11 @@ class Traced:
 
 @dataclass(frozen=True)
 class Placed:
-    """The lights of all photos, and the held-out photos' PSNR in dB under them, if it could be taken."""
+    """The lights of all photos, directions of `suns` (S, 3), and the held-out photos' PSNR in dB under them, if it could be
+    taken."""
 
     lights: Lights
+    suns: np.ndarray
     score: float | None
 
 
@@ -73,6 +76,7 @@ def examine(
 def recover_albedo(
     of: Traced,
     cache: RayCache,
+    mesh: Mesh,
     size: int,
     parts: Parts,
     seed: int,
@@ -89,11 +93,14 @@ def recover_albedo(
     progress.update("lights", 0.0, 1.0)
     held_out = choose_held_out(photos)
 
+    caster = Raycaster(mesh, Frame3D.around(mesh)) if parts.sun else None
+
     def solve() -> Placed:
+        shown = of.seen.of(~np.isin(of.seen.photo, held_out))
         lights = solve_lights(
             of.points,
             of.transfer,
-            of.seen.of(~np.isin(of.seen.photo, held_out)),
+            shown,
             of.cameras,
             of.groups,
             seed,
@@ -102,25 +109,48 @@ def recover_albedo(
             of.prior,
             of.exposures,
         )
-        return Placed(*place(lights, of.points, of.transfer, of.seen, of.cameras, held_out, parts))
+        transfer = of.transfer
+        if caster:
+            transfer, lights = with_own_suns(
+                evidence(of.points, shown, of.cameras, parts, of.prior, of.exposures),
+                transfer,
+                lights,
+                caster,
+                seed,
+            )
+        found, score = place(lights, of.points, transfer, of.seen, of.cameras, held_out, parts)
+        return Placed(found, transfer.directions[transfer.parts :], score)
 
     placed = kept.done("lights", Placed, solve) if kept else solve()
     lights = placed.lights
+    transfer = with_suns(of.transfer, of.points, caster, placed.suns) if caster else of.transfer
     texture = albedo_texture(
         cache,
         cache.footprint,
         of.points,
-        of.transfer,
+        transfer,
         lights,
         of.cameras,
         size,
         lambda done: progress.update("albedo", done, 1.0),
         of.seen,
+        caster,
         parts.gloss,
     )
     return texture, {
         "parts": asdict(parts),
         "lights": [int(light) for light in lights.light],
+        "suns": _suns(transfer, lights),
         "shading_points": len(of.points),
         "held_out_psnr": placed.score,
+        "setbacks": {"lights": [asdict(each) for each in lights.setbacks]},
     }
+
+
+def _suns(transfer: Transfer, lights: Lights) -> list[dict[str, Any]]:
+    """For the report: which light each sun belongs to, and where it stands in the scene's axes."""
+    radiance = lights.radiance[:, transfer.parts :].mean(axis=2)
+    return [
+        {"light": int(radiance[:, number].argmax()), "direction": [round(float(x), 4) for x in direction]}
+        for number, direction in enumerate(transfer.directions[transfer.parts :])
+    ]

@@ -28,6 +28,8 @@ BELOW = -0.3
 RAYS_PER_DIRECTION = 9
 #: One in this many of those rays brings bounced light, which is soft and costs memory.
 BOUNCED_ONE_IN = 3
+#: Angular radius at which a sun's disc is looked at: the real one's is 0.0047.
+SUN_RADIUS = 0.004
 #: Rays cast at once, by one thread.
 RAYS = 1 << 17
 
@@ -35,7 +37,7 @@ RAYS = 1 << 17
 @dataclass(frozen=True)
 class Transfer:
     """directions (D, 3); visible (C, D) float32: the share of a direction's rays that meet nothing of the mesh; direct
-    (C, D) float32, the rows T.
+    (C, D) float32, the rows T. The last `suns` directions are no parts of the sphere but suns, see `with_suns`.
 
     Bounced light in compressed rows: point c gets sum of `weight[i]` times what leaves point `source[i]`, for i from
     `first[c]` to `first[c + 1]`; `lost` (C,) is the weight of rays that meet parts of the mesh that no photo sees.
@@ -48,6 +50,17 @@ class Transfer:
     source: np.ndarray
     weight: np.ndarray
     lost: np.ndarray
+    suns: int = 0
+
+    @property
+    def parts(self) -> int:
+        """Parts of the sphere; directions from this on are suns."""
+        return len(self.directions) - self.suns
+
+    @property
+    def share(self) -> float:
+        """What light of 1 from a direction that a surface faces adds to its irradiance."""
+        return 4.0 / self.parts
 
 
 def sphere(count: int) -> np.ndarray:
@@ -176,6 +189,34 @@ def coarser(transfer: Transfer, count: int) -> tuple[Transfer, np.ndarray]:
     visible = transfer.visible @ (membership / np.maximum(membership.sum(axis=0), 1.0))
     coarse = replace(transfer, directions=directions, visible=visible, direct=transfer.direct @ membership)
     return coarse, part_of
+
+
+def with_suns(transfer: Transfer, points: ShadingPoints, caster: Raycaster, suns: np.ndarray) -> Transfer:
+    """The same transfer with more directions, in the unit of the others: suns (S, 3), as seen from the points."""
+    if not len(suns):
+        return transfer
+    seen = np.stack([sunlit(points.position, points.normal, caster, sun) for sun in suns], axis=1)
+    facing = np.maximum(points.normal @ suns.T, 0.0).astype(np.float32)
+    return replace(
+        transfer,
+        directions=np.concatenate([transfer.directions, suns.astype(np.float32)]),
+        visible=np.concatenate([transfer.visible, seen], axis=1),
+        direct=np.concatenate([transfer.direct, np.float32(transfer.share) * seen * facing], axis=1),
+        suns=transfer.suns + len(suns),
+    )
+
+
+def sunlit(position: np.ndarray, normal: np.ndarray, caster: Raycaster, sun: np.ndarray) -> np.ndarray:
+    """(N,) float32: how much of a sun (3,) is seen from surface points (N, 3) with normals (N, 3)."""
+    seen = np.zeros(len(position), np.float32)
+    faces = np.flatnonzero(normal @ sun > 0.0)
+    origin = np.asarray(position[faces] + LIFT * normal[faces], np.float32)
+    across = np.cross(sun, (0.0, 0.0, 1.0) if abs(sun[2]) < 0.9 else (1.0, 0.0, 0.0))
+    across *= SUN_RADIUS / np.linalg.norm(across)
+    for aside in (across, -across, np.cross(sun, across), np.cross(across, sun)):
+        way = np.broadcast_to(np.asarray(sun + aside, np.float32), origin.shape).copy()
+        seen[faces] += np.float32(0.25) * ~caster.all_blocked(origin, way)
+    return seen
 
 
 def bounced(transfer: Transfer, leaving: np.ndarray) -> np.ndarray:

@@ -16,8 +16,8 @@ _ZERO = np.float32(0.0)
 
 
 class Batch(NamedTuple):
-    """As `ray_cache.Samples`: `photo` (N,) int64, `uv` (N, 2), `position` (N, 3), `colour` and `prior` (N, 3)
-    and `weight` (N,) float32; `prior` is (0, 3) without priors."""
+    """As `ray_cache.Samples`: `photo` (N,) int64, `uv` (N, 2), `position` (N, 3), `colour` (N, 3), `prior` (N, 4)
+    and `weight` (N,) float32; `prior` is (0, 4) without priors."""
 
     photo: np.ndarray
     uv: np.ndarray
@@ -92,7 +92,7 @@ def gradients(  # type: ignore[no-untyped-def]
         np.zeros((3, BLOCK), np.float32),
         np.zeros((3, BLOCK), np.float32),
         np.zeros((3, BLOCK), np.float32),  # what is past the end weighs 0, but has to be finite
-        np.full((3, BLOCK), np.float32(np.nan)),
+        np.full((4, BLOCK), np.float32(np.nan)),
         np.empty(BLOCK, np.float32),
     )
     photo = np.empty(BLOCK, np.int64)
@@ -120,7 +120,8 @@ def gradients(  # type: ignore[no-untyped-def]
         for c in range(3):
             for s in range(count):
                 shown.colour[c, s] = batch.colour[start + s, c]
-            if len(batch.prior) > 0:
+        if len(batch.prior) > 0:
+            for c in range(4):
                 for s in range(count):
                     shown.prior[c, s] = batch.prior[start + s, c]
         own = rows[start // BLOCK]

@@ -27,7 +27,8 @@ class Weights(NamedTuple):
 
 class Shown(NamedTuple):
     """What is known of a block, (3, BLOCK) float32: `exposure` e^w and `offset` of each sample's photo, and the
-    sRGB-encoded `colour` and `prior`; `weight` (BLOCK,) of the samples. A prior that is not finite adds nothing."""
+    sRGB-encoded `colour`; `prior` (4, BLOCK), with its trust; `weight` (BLOCK,) of the samples. A prior that is not
+    finite adds nothing."""
 
     exposure: np.ndarray
     offset: np.ndarray
@@ -76,10 +77,10 @@ def loss_backward(albedo, light, shown, weights, log_light, d_exposure, d_offset
                 d_light += _TWO * weights.white_light * tint / (irradiance + weights.darkness)
                 d_light *= sigmoid(light[c, s])
             if weights.prior > _ZERO:
-                prior = shown.prior[c, s]
-                known = abs(prior) < _INFINITE
+                prior, trust = shown.prior[c, s], shown.prior[3, s]
+                known = abs(prior) < _INFINITE and abs(trust) < _INFINITE
                 size, sign = _magnitude(a - linear_from_srgb(prior if known else _ZERO))
-                weight = weights.prior if known else _ZERO
+                weight = weights.prior * trust if known else _ZERO
                 loss += weight * size
                 d_a += weight * sign
             total += used * loss

@@ -1,0 +1,222 @@
+"""How fast this machine traces light and solves for it, from the run itself in small: `dante_w.pace` for traced light."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from dante_w.pace import Sample, timed
+from dante_w.rays.ray_cache import RayCache
+from dante_w.rays.raycast import Raycaster
+from dante_w.texture.average import PhotoAverage
+from dante_w.traced.albedo import albedo_texture
+from dante_w.traced.groups import GROUPS
+from dante_w.traced.lights import (
+    COARSE,
+    FIRST_STEPS,
+    LAST_STEPS,
+    POINTS,
+    REGROUP,
+    Lights,
+    evidence,
+    explain,
+    observed_sheen,
+)
+from dante_w.traced.parts import ONE_IN
+from dante_w.traced.shading_points import PHOTOS, Observations, ShadingPoints, gather
+from dante_w.traced.sun import STEPS as SUN_STEPS
+from dante_w.traced.transfer import Transfer, sphere, trace_transfer
+
+#: Points traced, observations explained, samples given an albedo, and texels a side filled at most; and of samples and
+#: observations before them, which only load kernels.
+TRACED, EXPLAINED, DIVIDED, SIDE, FEW = 256, 1 << 15, 1 << 17, 512, 64
+#: Rows and columns of the matrices multiplied and factored.
+MULTIPLIED, FACTORED = (2048, 512), 1536
+#: Array code that is not timed, in observations explained: to pair a point of a step with its neighbours, and to look for a
+#: sun at a point. From one profile of one object, it holds on any machine.
+PAIRED, SEARCHED = 100, 100
+#: Lights that photos have, if there are as many photos; what is not known until they are compared.
+LIGHTS = 5
+#: Fits that a plan tries, with all first groups as lights, and one with a single light.
+TRIALS = 2
+
+
+@dataclass(frozen=True)
+class TracedWork:
+    """How much is to be done: photos, their samples, shading points, observations of these, directions of light, lights at
+    first and in the end, and texels; and whether suns are looked for."""
+
+    photos: int
+    samples: float
+    points: float
+    observations: float
+    directions: int
+    first_lights: int
+    lights: int
+    texels: int
+    suns: bool
+
+
+@dataclass(frozen=True)
+class TracedPace:
+    """Seconds on this machine: to `gather` a sample, `trace` a point in all directions, `explain` an observation, compute
+    its sheen for a direction (`shine`), `multiply` in float32 and in float64 (`factor`), make the `albedo` of a sample and
+    `fill` a texel."""
+
+    gather: float
+    trace: float
+    explain: float
+    shine: float
+    multiply: float
+    factor: float
+    albedo: float
+    fill: float
+
+
+def measure_traced(
+    sample: Sample, photos: int, pixels: int, directions: int, texels: int, suns: bool
+) -> tuple[TracedPace, TracedWork]:
+    """Do a little of everything and time it, in less than a second once kernels are loaded; and how much there is to do with
+    all the `photos`, their `pixels`, so many `directions` of light and `texels`, `suns` or none."""
+    cache = _first(sample.cache, len(sample.cache))
+    cameras = np.full((len(cache.starts) - 1, 3), 3.0)  # any place will do
+    gather(_first(cache, FEW), cameras)
+    (points, seen), gathering = timed(lambda: gather(cache, cameras))
+    transfer, tracing = _trace(points, cache, sample.caster, directions)
+    lights = _one_light(points, cameras, transfer)
+    irradiance = lights.irradiance(transfer)
+
+    def explained(rows: Observations) -> tuple[float, float]:
+        """Seconds of the sheen and of the rest."""
+        of = evidence(points, rows, cameras)
+        gloss, shining = timed(lambda: observed_sheen(of, transfer, lights))
+        return shining, timed(lambda: explain(lights, irradiance, gloss, of))[1]
+
+    def divided(some: RayCache, side: int) -> float:
+        assert some.footprint is not None
+        rows = seen.of(seen.photo < len(some.starts) - 1)
+        what = some, some.footprint, points, transfer, lights, cameras, side
+        return timed(lambda: albedo_texture(*what, lambda _: None, rows))[1]
+
+    explained(seen.of(np.arange(min(len(seen.point), FEW))))
+    rows = seen.of(np.arange(min(len(seen.point), EXPLAINED)))
+    shining, explaining = explained(rows)
+    side = min(math.isqrt(texels), SIDE)
+    divided(_first(cache, FEW), 1)
+    some = _first(cache, DIVIDED)
+    filling = timed(lambda: PhotoAverage(side, side).resolve())[1] / side**2
+    pace = TracedPace(
+        gather=gathering / len(cache),
+        trace=tracing,
+        explain=explaining / max(len(rows.point), 1),
+        shine=shining / max(len(rows.point), 1) / directions,
+        multiply=_multiplying(),
+        factor=_factoring(),
+        albedo=max(divided(some, side) - filling * side**2, 0.0) / len(some),
+        fill=filling,
+    )
+    # what more photos show of the texture, these show too, but for what lies behind
+    shown = len(seen.point) / (len(cache.starts) - 1)
+    work = TracedWork(
+        photos=photos,
+        samples=sample.foreground * sample.hit * pixels,
+        points=len(points),
+        observations=min(shown * photos, PHOTOS * len(points)),
+        directions=directions,
+        first_lights=min(GROUPS, photos),
+        lights=min(LIGHTS, photos),
+        texels=texels,
+        suns=suns,
+    )
+    return pace, work
+
+
+def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
+    """Seconds of the stages between `rays` and `bake`, in their order."""
+    observations, few = work.observations, min(COARSE, work.directions)
+
+    def step(lights: int, directions: int, share: float) -> float:
+        """One Gauss-Newton step with a share of the observations."""
+        chosen = min(POINTS, work.points)
+        unknowns = 3 * lights * directions + work.photos
+        equations = (
+            pace.multiply * 6.0 * chosen * (lights * directions) ** 2 + pace.factor * unknowns**3 / 6.0
+        )
+        explained = share * observations * (pace.explain + directions * pace.shine)
+        return equations + explained + PAIRED * chosen * pace.explain
+
+    def solve(first: int, lights: int, share: float) -> float:
+        early = REGROUP[0] + 1
+        regrouping = len(REGROUP) * first * share * observations * pace.explain / LIGHTS
+        return early * step(first, few, share) + (FIRST_STEPS - early) * step(lights, few, share) + regrouping
+
+    first, lights = work.first_lights, work.lights
+    trials = TRIALS * solve(first, lights, 1.0 / ONE_IN) + solve(1, 1, 1.0 / ONE_IN)
+    fine = LAST_STEPS * step(lights, work.directions, 1.0)
+    suns = 0.0
+    if work.suns:
+        suns = lights * SEARCHED * work.points * pace.explain
+        suns += len(SUN_STEPS) * step(lights, work.directions, 1.0)
+    return {
+        "transfer": work.samples * pace.gather + work.points * pace.trace,
+        "plan": trials,
+        "lights": solve(first, lights, 1.0) + fine + suns,
+        "albedo": work.samples * pace.albedo + work.texels * pace.fill,
+    }
+
+
+def _trace(
+    points: ShadingPoints, cache: RayCache, caster: Raycaster, directions: int
+) -> tuple[Transfer, float]:
+    """A transfer with which the points can be computed, though only a few were traced, and the seconds that one takes."""
+    chosen = np.random.default_rng(0).permutation(len(points))[:TRACED]
+    few = replace(
+        points,
+        point_of_cell=np.full_like(points.point_of_cell, -1),
+        position=points.position[chosen],
+        normal=points.normal[chosen],
+    )
+    uvs = cache.surface.uvs.numpy()
+    trace_transfer(few, caster, uvs, 1, lambda _: None)  # loads kernels
+    _, seconds = timed(lambda: trace_transfer(few, caster, uvs, directions, lambda _: None))
+    count = len(points)
+    open_sky = np.ones((count, directions), np.float32)
+    none = np.zeros(0, np.int32)
+    first, lost = np.zeros(count + 1, np.int64), np.zeros(count, np.float32)
+    transfer = Transfer(
+        sphere(directions).astype(np.float32), open_sky, open_sky, first, none, none.astype(np.float32), lost
+    )
+    return transfer, seconds / len(chosen)
+
+
+def _one_light(points: ShadingPoints, cameras: np.ndarray, transfer: Transfer) -> Lights:
+    """A grey light that all photos share."""
+    photos, count = len(cameras), len(points)
+    return Lights(
+        np.ones((1, transfer.parts, 3), np.float32),
+        np.zeros(photos, np.int64),
+        np.zeros(photos),
+        np.zeros((count, 1, 3), np.float32),
+        np.full((count, 3), 0.5, np.float32),
+        np.ones(count, bool),
+    )
+
+
+def _multiplying() -> float:
+    rows, columns = MULTIPLIED
+    matrix = np.ones((rows, columns), np.float32)
+    return timed(lambda: matrix.T @ matrix)[1] / (rows * columns**2)
+
+
+def _factoring() -> float:
+    matrix = torch.eye(FACTORED, dtype=torch.float64)
+    return timed(lambda: torch.linalg.cholesky_ex(matrix))[1] / (FACTORED**3 / 6.0)
+
+
+def _first(cache: RayCache, count: int) -> RayCache:
+    """The first `count` samples of a cache, and the photos that they are of."""
+    some = cache.of(np.arange(min(count, len(cache))))
+    return replace(some, starts=np.unique(some.starts))

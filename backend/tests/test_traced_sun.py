@@ -1,0 +1,146 @@
+"""The sun as a light of its own: found from the shadow it throws, left out where there is none."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from dante_w.rays.raycast import Frame3D, Raycaster
+from dante_w.scene.mesh import Mesh
+from dante_w.traced.albedo import irradiance_of
+from dante_w.traced.gloss import sheen
+from dante_w.traced.lights import Lights, Parts, evidence, solve_lights
+from dante_w.traced.shading_points import Observations, ShadingPoints
+from dante_w.traced.sun import peaks, with_own_suns
+from dante_w.traced.transfer import sunlit, trace_transfer, with_suns
+
+SIDE, PHOTOS = 40, 4
+SUN = np.array([0.55, 0.2, 0.81]) / np.linalg.norm([0.55, 0.2, 0.81])
+PARTS = Parts(exposures=False, bounce=False, gloss=False)
+CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+
+
+def ground(posts: bool) -> Mesh:
+    """A square of ground in the unit cube, with three posts on it or without."""
+    vertices = [np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)])]
+    faces = [(0, 1, 2), (0, 2, 3)]
+    for x, y, height in ((0.2, 0.3, 0.3), (0.45, 0.65, 0.25), (0.2, 0.75, 0.2)) if posts else ():
+        first = sum(map(len, vertices))
+        vertices.append(CUBE * (0.1, 0.1, height) + (x, y, 0.02))
+        faces += [tuple(first + q[i] for i in three) for q in QUADS for three in ((0, 1, 2), (0, 2, 3))]
+    return Mesh(np.concatenate(vertices), np.array(faces, np.int32), None)
+
+
+class World:
+    """Photos of the ground under an even sky and a sun of the given strength beside it."""
+
+    def __init__(self, strength: float, posts: bool = True) -> None:
+        mesh = ground(posts)
+        self.caster = Raycaster(mesh, Frame3D(np.zeros(3), 1.0))
+        centre = (np.arange(SIDE) + 0.5) / SIDE
+        x, y = (each.ravel() for each in np.meshgrid(centre, centre))
+        position = np.stack([x, y, 0.0 * x], axis=1).astype(np.float32)
+        normal = np.tile(np.float32((0.0, 0.0, 1.0)), (SIDE**2, 1))
+        self.points = ShadingPoints(np.arange(SIDE**2, dtype=np.int32), position, normal)
+        uvs = np.zeros((len(mesh.faces), 3, 2))
+        self.transfer = trace_transfer(self.points, self.caster, uvs, 256, lambda _: None)
+        patches = np.where((np.floor(x * 3) + np.floor(y * 3)) % 2 == 0, 0.5, 0.3)
+        self.albedo = patches[:, None] * np.array([1.0, 0.8, 0.6])
+        seen = sunlit(position, normal, self.caster, SUN)
+        light = self.transfer.direct.sum(axis=1) + strength * seen * SUN[2]
+        noise = np.random.default_rng(0).normal(1.0, 0.01, (PHOTOS, SIDE**2, 3))
+        colour = (0.3 * self.albedo * light[:, None] * noise).reshape(-1, 3).astype(np.float32)
+        rows = PHOTOS * SIDE**2
+        self.seen = Observations(
+            np.tile(np.arange(SIDE**2, dtype=np.int32), PHOTOS),
+            np.repeat(np.arange(PHOTOS, dtype=np.int32), SIDE**2),
+            colour,
+            np.full(rows, 4, np.int32),
+            np.zeros(rows, bool),
+        )
+        self.cameras = np.array([(0.5 + 0.3 * k, 0.5, 3.0) for k in range(PHOTOS)])
+
+    def solved(self) -> Lights:
+        one = np.zeros(PHOTOS, np.int64)
+        return solve_lights(
+            self.points, self.transfer, self.seen, self.cameras, one, 0, lambda *_: None, PARTS
+        )
+
+    def error(self, lights: Lights) -> float:
+        """Standard deviation of log albedo's error: level and tint are open."""
+        off = np.log(lights.albedo / self.albedo)[lights.known]
+        return float((off - off.mean(axis=0)).std())
+
+
+@pytest.mark.parametrize("strength", [2.0, 6.0])
+def test_a_sun_is_found_where_it_stands_and_its_shadows_leave_the_albedo(strength):
+    world = World(strength)
+    lights = world.solved()
+    of = evidence(world.points, world.seen, world.cameras, PARTS)
+    transfer, found = with_own_suns(of, world.transfer, lights, world.caster, 0)
+    assert transfer.suns == 1 and found.setbacks == ()
+    assert np.degrees(np.arccos(transfer.directions[-1] @ SUN)) < 2.0
+    assert world.error(found) < 0.6 * world.error(lights)
+
+
+@pytest.mark.parametrize(("strength", "posts"), [(0.0, True), (4.0, False)])
+def test_without_a_sun_or_without_shadows_there_is_none(strength, posts):
+    world = World(strength, posts)
+    lights = world.solved()
+    of = evidence(world.points, world.seen, world.cameras, PARTS)
+    transfer, same = with_own_suns(of, world.transfer, lights, world.caster, 0)
+    assert transfer is world.transfer and same is lights
+
+
+def test_a_sun_is_seen_but_where_the_mesh_is_in_its_way():
+    caster = Raycaster(ground(posts=False), Frame3D(np.zeros(3), 1.0))
+    position = np.array([(0.5, 0.5, -0.3), (0.5, 0.5, 0.3), (0.9, 0.5, -0.3), (0.5, 0.5, 0.3)])
+    normal = np.array([(0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (0.9, 0.0, 0.4), (0.0, 0.0, -1.0)])
+    slanted = np.array([0.8, 0.0, 0.6])
+    np.testing.assert_array_equal(sunlit(position, normal, caster, slanted), [0.0, 1.0, 1.0, 0.0])
+    at_edge = np.array([(0.6, 0.5, -0.3)])  # the ground ends where the sun's middle is seen
+    assert 0.0 < sunlit(at_edge, np.array([(0.0, 0.0, 1.0)]), caster, slanted)[0] < 1.0
+
+
+def test_suns_leave_the_sphere_as_it_was():
+    world = World(1.0)
+    transfer = with_suns(world.transfer, world.points, world.caster, SUN[None])
+    assert transfer.share == world.transfer.share == 4.0 / 256 and transfer.suns == 1
+    np.testing.assert_allclose(
+        transfer.direct[:, -1],
+        transfer.share * SUN[2] * sunlit(world.points.position, world.points.normal, world.caster, SUN),
+        rtol=1e-6,
+    )
+    radiance = np.random.default_rng(0).random((1, 256, 3)).astype(np.float32)
+    dark = np.concatenate([radiance, np.zeros((1, 1, 3), np.float32)], axis=1)
+    point, light = np.arange(50), np.zeros(50, np.int64)
+    towards = world.points.towards(point, world.cameras[0])
+    shown = [
+        sheen(point, light, towards, world.points.normal, each.directions, each.visible, emitted, each.suns)
+        for each, emitted in ((world.transfer, radiance), (transfer, dark))
+    ]
+    np.testing.assert_allclose(shown[0], shown[1], rtol=1e-6)
+
+
+def test_pixels_see_the_sun_for_themselves():
+    world = World(1.0)
+    transfer = with_suns(world.transfer, world.points, world.caster, SUN[None])
+    radiance = np.concatenate([np.ones((256, 3)), np.full((1, 3), 90.0)]).astype(np.float32)
+    fine = (np.arange(400) + 0.5) / 400
+    place = np.stack([fine, np.full(400, 0.34), 0.0 * fine], axis=1).astype(
+        np.float32
+    )  # through a post's shadow
+    point, normal = world.points.at(place[:, :2]), np.tile(np.float32((0.0, 0.0, 1.0)), (400, 1))
+    lit = irradiance_of(point, place, normal, transfer, radiance, world.caster)
+    sky = irradiance_of(point, place, normal, world.transfer, radiance[:256], world.caster)
+    seen = sunlit(place, normal, world.caster, SUN)
+    sun = transfer.share * 90.0 * SUN[2] * seen
+    np.testing.assert_allclose(lit - sky, np.repeat(sun[:, None], 3, axis=1), atol=1e-5)
+    by_cell = transfer.visible[point, -1]
+    assert {0.0, 1.0} <= set(seen) and (np.abs(seen - by_cell) > 0.5).any()  # finer than the cells
+
+
+def test_how_much_brighter_than_the_mean_a_light_is_anywhere():
+    lights = dataclasses.replace(World(0.0).solved(), radiance=np.ones((2, 4, 3), np.float32))
+    lights.radiance[1, 2] = 5.0
+    np.testing.assert_allclose(peaks(lights), [1.0, 2.5])
