@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from dante_w.model.presets import PRESETS
 from measure.command import ROOT, blender
 from measure.machine import provenance
 from measure.metrics import psnr
@@ -30,14 +32,14 @@ from methods.rows import FULL, NO_PRIOR, Method, make, methods, priors_of, textu
 from methods.stand_in_prior import STRENGTHS
 
 METRICS = {"PSNR": psnr, "SSIM": ssim, "LPIPS": lpips, "FLIP": flip}
-#: How the names of the rows begin that are drawn for each object.
-SHOWN = (
-    "photos averaged",
-    "gradient-domain texturing",
-    "ours, traced light",
-    "raw prior",
-    f"ours full (paper), {FULL}",
-)
+#: The rows that are drawn for each object, and what stands below them.
+SHOWN = {
+    "photos averaged": "photos averaged",
+    "gradient-domain texturing": "gradient domain",
+    "ours, traced light": "traced light",
+    "raw prior": "raw prior",
+    f"ours full (paper), {FULL}": "paper's model",
+}
 
 
 class Made(NamedTuple):
@@ -51,7 +53,8 @@ class Made(NamedTuple):
 def main() -> None:
     options = parse()
     scenes = scenes_in(options.dir, options.objects)
-    rows = list(methods(options.presets, options.priors))
+    rows = [row for row in methods(options.presets, options.priors) if options.rows.search(describe(row))]
+    facts = provenance()
     results = []
     for number, scene in enumerate(scenes, 1):
         folder = options.out / scene.name
@@ -63,10 +66,11 @@ def main() -> None:
         views = relit_views(scene, options.relit_views)
         relit = relight(scene, made, views, options.hdris or beside(options.dir))
         for row in made:
-            results.append(rated(row, scene, relit, views))
+            results.append(rated(row, scene, relit, views, str(facts["commit"])))
             say(f"{scene.name}, {describe(row.method)}: {results[-1].albedo['PSNR']:.2f} dB")
-        sheet(options.out / f"{scene.name}.jpg", scene, made, relit)
-    facts = provenance()
+        if not options.rows.pattern:
+            sheet(options.out / f"{scene.name}.png", scene, made, relit)
+    results = among(results, options.out / "gigalit.json")
     text = markdown(results, facts)
     print(text)
     (options.out / "gigalit.md").write_text(text + "\n", encoding="utf-8")
@@ -88,11 +92,25 @@ def parse() -> argparse.Namespace:
         help="`paper` takes hours without a GPU",
     )
     add("--priors", nargs="+", default=[NO_PRIOR, *STRENGTHS], choices=[NO_PRIOR, *STRENGTHS])
+    add(
+        "--rows",
+        type=re.compile,
+        default=re.compile(""),
+        help="a pattern of those to make; others stay as --out has them, no pictures",
+    )
     add("--hdris", type=Path, help="folder of the HDRIs; without it, DIR/../hdri or Blender's own")
     add("--relit-views", type=int, default=4, help="how many test views are relit, under each HDRI")
     add("--out", type=Path, default=ROOT / "build" / "gigalit", help="where everything goes")
     add("--json", action="store_true", help="the last line is one JSON object")
     return parser.parse_args()
+
+
+def among(results: list[Row], file: Path) -> list[Row]:
+    """These rows in the place of those of the same name that `file` has, and its others, in the table's order."""
+    kept = json.loads(file.read_text(encoding="utf-8"))["rows"] if file.is_file() else []
+    rows = {(row.object, row.prior, row.method): row for row in (*(Row(**each) for each in kept), *results)}
+    order = [(row.prior, row.name) for row in methods(tuple(PRESETS), (NO_PRIOR, *STRENGTHS))]
+    return sorted(rows.values(), key=lambda row: (order.index((row.prior, row.method)), row.object))
 
 
 def relight(scene: Path, made: list[Made], views: Sequence[int], hdris: Path | None) -> Path:
@@ -113,7 +131,7 @@ def relight(scene: Path, made: list[Made], views: Sequence[int], hdris: Path | N
     return out
 
 
-def rated(row: Made, scene: Path, relit: Path, views: Sequence[int]) -> Row:
+def rated(row: Made, scene: Path, relit: Path, views: Sequence[int], commit: str) -> Row:
     """The scores of one finished row."""
     method, out, seconds = row
     seen = (relit / f"{method.slug}.inputs").read_bytes() + bytes(views) + code_of_scores()
@@ -125,18 +143,19 @@ def rated(row: Made, scene: Path, relit: Path, views: Sequence[int]) -> Row:
         }
         note.write_text(json.dumps(scores), encoding="utf-8")
     scores = json.loads(note.read_text(encoding="utf-8"))
-    return Row(scene.name, method.name, method.prior, seconds, scores["albedo"], scores["relit"])
+    return Row(scene.name, method.name, method.prior, seconds, scores["albedo"], scores["relit"], commit)
 
 
 def sheet(file: Path, scene: Path, made: list[Made], relit: Path) -> None:
-    """Draw the first test view of the rows worth looking at."""
+    """Draw the first test view of the rows worth looking at, without a prior and with one."""
     columns, truth, relit_truth = [], None, None
+    priors = list(dict.fromkeys(method.prior for method, _, _ in made if method.prior != NO_PRIOR))
     for method, out, _ in made:
-        if method.name in SHOWN:
+        if method.name in SHOWN and method.prior in (NO_PRIOR, *priors[:1]):
             truth, lit = _albedo(method, scene, out)[0], _relit(method, scene, relit, [0])[0]
             relit_truth = lit.truth
-            note = "no prior" if method.prior == NO_PRIOR else f"{method.prior} stand-in"
-            columns.append(Column(method.name.removesuffix(f", {FULL}"), note, truth.picture, lit.picture))
+            note = "no prior" if method.prior == NO_PRIOR else "stand-in prior"
+            columns.append(Column(SHOWN[method.name], note, truth.picture, lit.picture))
     if truth is not None and relit_truth is not None:
         write_sheet(file, truth, relit_truth, columns)
 

@@ -1,7 +1,7 @@
-"""Cost of the paper's model against the size of the scene: `python3 dev.py bench scaling [--quick] [--out DIR]`.
+"""Cost against the size of the scene: `python3 dev.py bench scaling [--irradiance field] [--quick] [--out DIR]`.
 
-Runs `dante-w recover --irradiance field` in a fresh process on synthetic scenes that grow in one way at a time: photos, pixels per
-photo, texels. Prints seconds per stage, memory, and how fast each grows; writes scaling.png and scaling.json.
+Runs `dante-w recover` in a fresh process on synthetic scenes that grow in one way at a time: photos, pixels per photo,
+texels. Prints seconds per stage, memory, and how fast each grows; writes scaling-IRRADIANCE.png and .json.
 """
 
 from __future__ import annotations
@@ -38,7 +38,12 @@ MESH_ROWS = 160  # 101,760 triangles
 QUICK = {"photos": [10, 80], "megapixels": [0.25, 2.0], "texture_sizes": [512, 4096]}
 #: From its start to its end a process does more than its stages say: imports, freeing memory.
 END, TOTAL, MEMORY = "end", "all", "peak memory"
-STAGES = ("start", "scene", "rays", "optimise", "held-out", "final pass", "bake", "write", END)
+STAGES = (
+    *("start", "scene", "rays"),
+    *("transfer", "plan", "lights", "albedo"),
+    *("optimise", "held-out", "final pass"),
+    *("bake", "write", END),
+)
 COLOURS = (
     "#56B4E9",
     "#D55E00",
@@ -49,7 +54,8 @@ COLOURS = (
     "#8B5A2B",
     "#999999",
     "#F0E442",
-)  # Okabe, Ito
+    "#332288",
+)  # Okabe, Ito, and one more
 #: Between two looks at the ray cache's files.
 LOOK_SECONDS = 1.0
 #: A stage that never took this many seconds grows by chance.
@@ -96,16 +102,17 @@ def main() -> None:
         print(f"== {shape.size:g} {shape.ladder}", file=sys.stderr, flush=True)
         if shape.photo_side not in frames:
             frames[shape.photo_side] = write_photos(scene, mesh, shape.photo_side, DIFFERENT)
-        runs.append(recover(shape, options.preset, scene, mesh, frames[shape.photo_side], result))
+        runs.append(recover(shape, options, scene, mesh, frames[shape.photo_side], result))
         # after each run: an early end keeps what was measured
         content = {"measured": facts, "preset": options.preset, "runs": [asdict(run) for run in runs]}
         content["exponents"] = exponents(runs)
-        (out / "scaling.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
+        name = f"scaling-{options.irradiance}"
+        (out / f"{name}.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
     shutil.rmtree(scene)
     shutil.rmtree(result)
     print(f"{run_table(runs)}\n\n{exponent_table(runs)}\n\nPreset {options.preset}. {sentence(facts)}")
-    draw(out / "scaling.png", runs)
-    print(out / "scaling.png")
+    draw(out / f"{name}.png", runs)
+    print(out / f"{name}.png")
 
 
 def parse() -> argparse.Namespace:
@@ -115,6 +122,7 @@ def parse() -> argparse.Namespace:
     sides = [512, 1024, 2048, 4096, 8192, 16384]
     parser.add_argument("--texture-sizes", type=int, nargs="+", default=sides, help="texels along a side")
     parser.add_argument("--quick", action="store_true", help="two sizes of each, in about a minute")
+    parser.add_argument("--irradiance", default="traced", choices=("traced", "field"))
     parser.add_argument("--preset", default="draft")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "scaling")
     options = parser.parse_args()
@@ -133,10 +141,12 @@ def shapes(options: argparse.Namespace) -> list[Shape]:
     ]
 
 
-def recover(shape: Shape, preset: str, scene: Path, mesh: Mesh, frames: list[Frame], result: Path) -> Run:
+def recover(
+    shape: Shape, options: argparse.Namespace, scene: Path, mesh: Mesh, frames: list[Frame], result: Path
+) -> Run:
     """Run the product on a scene of this shape."""
     write_scene_folder(scene, mesh, frames, shape.photos)
-    arguments = ["recover", str(scene), "--irradiance", "field", "--preset", preset]
+    arguments = ["recover", str(scene), "--irradiance", options.irradiance, "--preset", options.preset]
     arguments += ["--texture-size", str(shape.texture_side)]
     with largest_cache_file(result) as cache_file:
         report, total = dante_w(arguments, result)
@@ -185,6 +195,11 @@ def exponents(runs: list[Run]) -> dict[str, dict[str, float]]:
     return result
 
 
+def stages(runs: list[Run]) -> list[str]:
+    """Those of `STAGES` that runs have."""
+    return [stage for stage in STAGES if any(stage in run.seconds for run in runs)]
+
+
 def by_ladder(runs: list[Run]) -> dict[str, list[Run]]:
     ladders: dict[str, list[Run]] = {}
     for run in runs:
@@ -194,12 +209,13 @@ def by_ladder(runs: list[Run]) -> dict[str, list[Run]]:
 
 def run_table(runs: list[Run]) -> str:
     """Every run as a Markdown table: seconds, gigabytes, millions of samples."""
+    names = [*stages(runs), TOTAL]
     lines = [
-        f"| grows | size | samples (M) | {' | '.join((*STAGES, TOTAL))} | {MEMORY} (GB) | ray cache file (GB) |",
-        "|---|" + "---:|" * (len(STAGES) + 5),
+        f"| grows | size | samples (M) | {' | '.join(names)} | {MEMORY} (GB) | ray cache file (GB) |",
+        "|---|" + "---:|" * (len(names) + 4),
     ]
     for run in runs:
-        seconds = " | ".join(f"{run.value(stage):.2f}" for stage in (*STAGES, TOTAL))
+        seconds = " | ".join(f"{run.value(stage):.2f}" for stage in names)
         memory = f"{run.peak_memory_bytes / 1e9:.2f} | {run.cache_file_bytes / 1e9:.2f}"
         name = f"{run.shape.ladder} | {run.shape.size:.4g}"
         lines.append(f"| {name} | {run.samples / 1e6:.1f} | {seconds} | {memory} |")
@@ -208,7 +224,7 @@ def run_table(runs: list[Run]) -> str:
 
 def exponent_table(runs: list[Run]) -> str:
     """Exponents as a Markdown table; empty where a stage takes no time to speak of."""
-    names = (*STAGES, TOTAL, MEMORY)
+    names = [*stages(runs), TOTAL, MEMORY]
     lines = [
         f"| cost grows with size to the power of | {' | '.join(names)} |",
         "|---|" + "---:|" * len(names),
@@ -228,7 +244,7 @@ def draw(file: Path, runs: list[Run]) -> None:
     for (ladder, own), (above, below) in zip(ladders.items(), axes.T, strict=True):
         own = sorted(own, key=lambda run: run.shape.size)
         sizes = np.array([run.shape.size for run in own])
-        for stage, colour in zip(STAGES, COLOURS, strict=True):
+        for stage, colour in zip(stages(runs), COLOURS, strict=False):
             above.plot(
                 sizes, [run.value(stage) or np.nan for run in own], "o-", ms=4, color=colour, label=stage
             )

@@ -1,6 +1,6 @@
-"""How right the expected seconds are: `python3 dev.py bench time_estimate SCENE... [--preset P...] [--repeat N] [--json]`.
+"""How right the expected seconds are: `python3 dev.py bench time_estimate SCENE... [--irradiance field] [--preset P...] [--json]`.
 
-Recovers each scene by the paper's model under each preset and compares report.json's `expected` with what it then took, stage by stage and from
+Recovers each scene under each preset and compares report.json's `expected` with what it then took, stage by stage and from
 start to end of the command. Run it on a machine that does nothing else: an expectation is made from one second of it.
 Prints a Markdown table and the worst error of a total.
 """
@@ -33,7 +33,7 @@ def main() -> None:
         for scene in options.scenes:
             for preset in options.preset:
                 out = options.out / scene.name / preset
-                arguments = ["recover", str(scene), "--irradiance", "field", "--preset", preset]
+                arguments = ["recover", str(scene), "--irradiance", options.irradiance, "--preset", preset]
                 if (scene / "mesh.obj").is_file():  # GigaLit's folders do not name their mesh
                     arguments += ["--mesh", str(scene / "mesh.obj")]
                 if options.texture_size:
@@ -50,6 +50,7 @@ def main() -> None:
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
+    parser.add_argument("--irradiance", default="traced", choices=("traced", "field"))
     parser.add_argument("--preset", nargs="+", default=["draft", "standard"])
     parser.add_argument("--texture-size", help="instead of the presets' own")
     parser.add_argument("--repeat", type=int, default=1, help="runs of each")

@@ -1,8 +1,8 @@
-"""Accuracy of the paper's model against time: `python3 dev.py bench tradeoff DIR [--knobs steps batch] [--minutes 45] [--json]`.
+"""Accuracy against time: `python3 dev.py bench tradeoff DIR [--irradiance field] [--knobs steps batch] [--minutes 45] [--json]`.
 
-DIR holds scene folders as `gigalit` wants them. Every preset, and `standard` with one knob turned at a time, runs
-on every object. Prints a Markdown table of the means and writes tradeoff.json and a figure with the Pareto front to
---out. Finished runs are kept there and used again as long as code, settings, scene and machine are the same: when
+Of traced light, or of the paper's model (`field`), which have knobs of their own. DIR holds scene folders as `gigalit` wants them. Every preset, and `standard` with one knob turned at a time, runs
+on every object. Prints a Markdown table of the means and writes tradeoff-IRRADIANCE.json and a figure with the Pareto
+front to --out. Finished runs are kept there and used again as long as code, settings, scene and machine are the same: when
 --minutes are over, or after an interruption, the same command goes on. Times count only on an idle machine.
 """
 
@@ -24,25 +24,36 @@ from typing import Any, NamedTuple
 import numpy as np
 import psutil
 from dante_w.model.presets import PRESETS
+from dante_w.recover_traced import DIRECTIONS as PRESET_DIRECTIONS
+from dante_w.recover_traced import LEFT_OUT
 from measure.command import ROOT
 from measure.curves import draw
 from measure.machine import provenance, sentence
 from measure.pareto import PRESET, Row, pareto_front, table
 from measure.scenes import scenes_in
 from measure.score import score
-from methods.variant import OUTSIDE, altered
+from methods.variant import CONSTANTS, DIRECTIONS, OUTSIDE, altered
 
 VARIANT = ROOT / "benchmarks" / "methods" / "variant.py"
 BASE = "standard"
 #: Its rows show how far chance alone moves a result; they are no choice, so never on the front.
 SEED = "seed"
 RAW, ACCURACY = "PSNR", "PSNR after gain"
-#: What a run takes on two cores, for the time left: seconds, and samples fitted per second.
-FIXED_SECONDS, SAMPLES_PER_SECOND = 10.0, 7e5
+#: What a run takes on two cores, for the time left: seconds, samples fitted per second, and seconds a direction of light.
+FIXED_SECONDS, SAMPLES_PER_SECOND, DIRECTION_SECONDS = 10.0, 7e5, 0.1
+#: Stages whose seconds are those of fitting: what is no reading, casting or writing.
+FITTING = ("optimise", "final pass", "transfer", "plan", "lights", "albedo")
+TRACED, FIELD = "traced", "field"
 
 #: A label and what it changes in `BASE`: fields of `Preset`, or options of the command where they begin with --.
 Value = tuple[str, dict[str, Any]]
-KNOBS: dict[str, list[Value]] = {
+_TEXTURES: list[Value] = [
+    ("planned", {}),
+    *((f"{n}", {"--texture-size": n}) for n in (512, 1024, 2048, 4096)),
+]
+_RAYS: list[Value] = [("1/16", {"ray_fraction": 1 / 16}), ("1/4", {"ray_fraction": 0.25}), ("1", {})]
+_SEEDS: list[Value] = [("0", {}), ("1", {"--seed": 1}), ("2", {"--seed": 2})]
+_FIELD_KNOBS: dict[str, list[Value]] = {
     "steps": [(f"{n}", {"schedule.steps": n}) for n in (60, 150, 500, 1000, 2000)],
     "batch": [(f"{n >> 10}k", {"schedule.batch": n}) for n in (1 << 13, 1 << 15, 1 << 17)],
     "albedo-finest": [
@@ -50,14 +61,26 @@ KNOBS: dict[str, list[Value]] = {
         for n, table in ((512, 15), (1024, 17), (2048, 19), (4096, 21))
     ],
     "albedo-table": [(f"2^{n}", {"model.albedo.log2_table": n}) for n in (17, 19, 21)],
+    "albedo": [("hash", {}), ("pyramid", {"albedo": "pyramid"})],
     "albedo-levels": [(f"{n}", {"model.albedo.levels": n}) for n in (8, 12, 16)],
     "mlp-width": [(f"{n}", {"model.hidden": n}) for n in (16, 32, 64)],
     "irradiance-finest": [(f"{n}", {"model.irradiance.finest": n}) for n in (8, 16, 32)],
-    "texture-size": [("1024", {"--texture-size": 1024}), ("2048", {}), ("4096", {"--texture-size": 4096})],
-    "ray-fraction": [("1/16", {"ray_fraction": 1 / 16}), ("1/4", {"ray_fraction": 0.25}), ("1", {})],
+    "texture-size": _TEXTURES,
+    "ray-fraction": _RAYS,
     "precision": [("bfloat16", {"decoder_precision": "bfloat16"}), ("float32", {})],
-    SEED: [("0", {}), ("1", {"--seed": 1}), ("2", {"--seed": 2})],
+    SEED: _SEEDS,
 }
+_TRACED_KNOBS: dict[str, list[Value]] = {
+    "directions": [(f"{n}", {DIRECTIONS: n}) for n in (16, 32, 64, 128, 256, 400)],
+    "rays a direction": [(f"{n}", {"traced.rays": n}) for n in (1, 3, 9, 27)],
+    "shading points": [(f"{n} x {n}", {"traced.side": n}) for n in (64, 128, 256, 512)],
+    "points a step": [(f"{n}", {"traced.points": n}) for n in (600, 2500, 10000)],
+    "last steps": [(f"{n}", {"traced.last_steps": n}) for n in (5, 7, 14)],
+    "texture-size": _TEXTURES,
+    "ray-fraction": _RAYS,
+    SEED: _SEEDS,
+}
+KNOBS = {TRACED: _TRACED_KNOBS, FIELD: _FIELD_KNOBS}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,6 +91,7 @@ class Setting:
     label: str
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     preset: str = BASE
+    irradiance: str = TRACED
 
     @property
     def inside(self) -> dict[str, Any]:
@@ -82,10 +106,22 @@ class Setting:
     def content(self) -> list[Any]:
         """What runs, however it is called: settings of equal content are one run."""
         outside = [self.changes.get(name) for name in OUTSIDE]
-        return [dataclasses.asdict(altered(PRESETS[self.preset], self.inside)), outside, self.options]
+        preset = altered(PRESETS[self.preset], self.inside)
+        if self.irradiance == FIELD:
+            return [dataclasses.asdict(preset), outside, self.options]
+        numbers = [self.changes.get(name, getattr(module, own)) for name, (module, own) in CONSTANTS.items()]
+        left_out = list(LEFT_OUT.get(self.preset, ()))
+        return [TRACED, preset.texture_size, self.directions, left_out, numbers, outside, self.options]
+
+    @property
+    def directions(self) -> int:
+        """Of traced light."""
+        return int(self.changes.get(DIRECTIONS, PRESET_DIRECTIONS[self.preset]))
 
     def expected_seconds(self) -> float:
         """On two cores, roughly."""
+        if self.irradiance == TRACED:
+            return FIXED_SECONDS + DIRECTION_SECONDS * self.directions
         preset = altered(PRESETS[self.preset], self.inside)
         samples = sum(part.steps * part.batch for part in (preset.schedule, preset.final_pass))
         return FIXED_SECONDS + samples / SAMPLES_PER_SECOND
@@ -103,7 +139,7 @@ def main() -> None:
     options = parse()
     scenes = scenes_in(options.dir, options.objects)
     facts = provenance()
-    wanted = settings(options.presets, options.knobs)
+    wanted = settings(options.presets, options.knobs, options.irradiance)
     machine = [options.device, *(facts[name] for name in ("processor", "cores", "gpu", "versions"))]
     jobs = [Job(each, scene, note(options.out, each, scene, machine)) for each in wanted for scene in scenes]
     measure(jobs, options)
@@ -126,11 +162,19 @@ def main() -> None:
         "rows": marked,
         "runs": [read(file) for file in dict.fromkeys(job.file for job in jobs) if file.is_file()],
     }
-    (options.out / "tradeoff.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
+    (options.out / f"tradeoff-{options.irradiance}.json").write_text(
+        json.dumps(content, indent=1), encoding="utf-8"
+    )
     title = (
         f"{facts['processor']}, {facts['cores']} cores" if device == "cpu" else str(facts["gpu"] or device)
     )
-    draw(options.out / "tradeoff.png", rows, front, f"{len(scenes)} objects on {title}")
+    model = "traced light" if options.irradiance == TRACED else "the paper's model"
+    draw(
+        options.out / f"tradeoff-{options.irradiance}.png",
+        rows,
+        front,
+        f"{model}: {len(scenes)} objects on {title}",
+    )
     if options.json:
         print(json.dumps(content))
 
@@ -141,20 +185,32 @@ def parse() -> argparse.Namespace:
     add("dir", type=Path, help="folder of scene folders")
     add("--objects", nargs="+", help="names; without it, all")
     add("--presets", nargs="*", default=["draft", "standard", "high"], choices=list(PRESETS))
-    add("--knobs", nargs="*", default=list(KNOBS), choices=list(KNOBS), metavar="KNOB", help=", ".join(KNOBS))
+    add("--irradiance", default=TRACED, choices=list(KNOBS), help="whose knobs are turned")
+    add("--knobs", nargs="*", metavar="KNOB", help="; ".join(f"{i}: {', '.join(KNOBS[i])}" for i in KNOBS))
     add("--minutes", type=float, default=45.0, help="begin no run that would end later")
     add("--device", default="auto", choices=("auto", "cpu", "cuda", "mps"))
     add("--out", type=Path, default=ROOT / "build" / "tradeoff", help="where everything goes")
     add("--json", action="store_true", help="the last line is one JSON object")
-    return parser.parse_args()
+    options = parser.parse_args()
+    known = KNOBS[options.irradiance]
+    if options.knobs is None:
+        options.knobs = list(known)
+    for knob in options.knobs:
+        if knob not in known:
+            parser.error(f"--knobs {knob}: {options.irradiance} has {', '.join(known)}.")
+    return options
 
 
-def settings(presets: Sequence[str], knobs: Sequence[str]) -> list[Setting]:
+def settings(presets: Sequence[str], knobs: Sequence[str], irradiance: str = TRACED) -> list[Setting]:
     """The presets, then each knob's values; `BASE` is always among them, to compare with."""
     names = [name for name in PRESETS if name in {BASE, *presets}]
     return [
-        *(Setting(PRESET, name, preset=name) for name in names),
-        *(Setting(knob, label, changes) for knob in knobs for label, changes in KNOBS[knob]),
+        *(Setting(PRESET, name, preset=name, irradiance=irradiance) for name in names),
+        *(
+            Setting(knob, label, changes, irradiance=irradiance)
+            for knob in knobs
+            for label, changes in KNOBS[irradiance][knob]
+        ),
     ]
 
 
@@ -205,7 +261,9 @@ def measure(jobs: Sequence[Job], options: argparse.Namespace) -> None:
             return
         say(f"{done + 1}/{len(missing)} {words}; {left / 60:.0f} minutes left in all")
         if done == 0:  # compiled code is kept from run to run, and the first must not pay for all
-            run(Setting("", "warm-up", {"schedule.steps": 4}), job.scene, options.device, options.out)
+            quick = {"schedule.steps": 4, DIRECTIONS: 16}
+            warm_up = Setting("", "warm-up", quick, irradiance=job.setting.irradiance)
+            run(warm_up, job.scene, options.device, options.out)
             start = time.monotonic()
         try:
             facts = run(job.setting, job.scene, options.device, options.out)
@@ -238,7 +296,7 @@ def run(setting: Setting, scene: Path, device: str, out: Path) -> dict[str, Any]
         "recover",
         str(scene),
         "--irradiance",
-        "field",
+        setting.irradiance,
     ]
     command += ["--mesh", str(scene / "mesh.obj"), "--preset", setting.preset, "--device", device]
     start = time.monotonic()
@@ -252,7 +310,7 @@ def run(setting: Setting, scene: Path, device: str, out: Path) -> dict[str, Any]
     report = json.loads((result / "report.json").read_text(encoding="utf-8"))
     scores = score(result, scene)
     shutil.rmtree(result)
-    kept = ("preset", "texture_size", "samples", "held_out_psnr", "peak_memory_bytes", "device")
+    kept = ("texture_size", "samples", "held_out_psnr", "peak_memory_bytes")
     return {
         "object": scene.name,
         "changes": dict(setting.changes),
@@ -260,6 +318,7 @@ def run(setting: Setting, scene: Path, device: str, out: Path) -> dict[str, Any]
         "stages": report["seconds"],
         "scores": scores,
         "load_before": round(load, 2),
+        "device": report.get("device", "cpu"),  # where light is traced
         **{name: report[name] for name in kept},
     }
 
@@ -276,7 +335,7 @@ def mean_row(setting: Setting, runs: Iterable[Mapping[str, Any]]) -> Row:
     columns = [
         (
             run["seconds"],
-            sum(run["stages"].get(stage, 0.0) for stage in ("optimise", "final pass")),
+            sum(run["stages"].get(stage, 0.0) for stage in FITTING),
             run["scores"][RAW],
             run["scores"][ACCURACY],
         )

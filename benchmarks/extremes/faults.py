@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from extremes import broken_files, fuzz, kills, shortage
+from extremes import broken_files, fuzz, kills, shortage, side_by_side
 from extremes.provoke import failed, stand
 from extremes.row import Row
 
@@ -13,7 +13,7 @@ def rows(progress: Callable[[str], None], inputs: int = fuzz.INPUTS) -> Iterator
     """The rows of all faults; `inputs` for each reader that is fuzzed."""
     try:
         with stand() as place:
-            for family in (kills, shortage, broken_files):
+            for family in (kills, side_by_side, shortage, broken_files):
                 yield from family.rows(place, progress)
     except (OSError, RuntimeError) as error:
         yield failed("the scene that faults are tried on", error)

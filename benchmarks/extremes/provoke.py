@@ -158,14 +158,14 @@ class Stand:
         return sentence.replace(f"{self.folder}{os.sep}", "")
 
     def left(self, where: Path | None = None) -> tuple[bool, list[str]]:
-        """Whether the former result is there byte for byte, and what else is."""
+        """Whether the former result is there byte for byte, and what else is, without its owner's number."""
         out, former = where or self.out, self.folder / "former"
         names = {path.name for path in former.iterdir()}
         same = all(
             (out / name).is_file() and (out / name).read_bytes() == (former / name).read_bytes()
             for name in names
         )
-        return same, sorted({path.name for path in out.iterdir()} - names)
+        return same, sorted({path.name.partition("-")[0] for path in out.iterdir()} - names)
 
 
 def judged(

@@ -135,7 +135,7 @@ def _folder_in_the_way(place: Stand, name: str) -> Row:
     (out / "albedo.png").unlink()
     (out / "albedo.png").mkdir()
     found = run("average", place.scene, "--out", out, *SIZE)
-    good = found.code == 2 and (out / "report.json").is_file() and not (out / ".partial").exists()
+    good = found.code == 2 and (out / "report.json").is_file() and not list(out.glob(".partial*"))
     told = f"exit {found.code}, former report {'there' if good else 'GONE'}"
     return Row(
         name,

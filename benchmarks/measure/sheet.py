@@ -12,7 +12,7 @@ import OpenImageIO as oiio  # noqa: N813
 from measure.pictures import PAPER, caption, grid, trim, write
 from measure.score import View
 
-TILE = 250
+TILE = 155
 #: sRGB error that is shown as white.
 WORST = 0.25
 

@@ -28,6 +28,7 @@ class Row:
     seconds: float
     albedo: dict[str, float]
     relit: dict[str, float]
+    commit: str = ""
 
 
 def markdown(rows: Sequence[Row], facts: dict[str, object]) -> str:
@@ -47,7 +48,15 @@ def markdown(rows: Sequence[Row], facts: dict[str, object]) -> str:
     leads = lead_table(rows)
     if leads:
         parts += ["Ahead of the raw prior, in dB of PSNR, mean over the objects:", leads]
-    return "\n\n".join([*parts, f"*{sentence(facts)}*"])
+    commits = sorted({row.commit for row in rows} - {str(facts["commit"])})
+    others = [f"*Commit {commit}: {', '.join(_rows_of(rows, commit))}.*" for commit in commits]
+    return "\n\n".join([*parts, f"*{sentence(facts)}*", *others])
+
+
+def _rows_of(rows: Sequence[Row], commit: str) -> list[str]:
+    """The names of a commit's rows."""
+    names = dict.fromkeys((row.method, row.prior) for row in rows if row.commit == commit)
+    return [method if prior == "none" else f"{method} [{prior}]" for method, prior in names]
 
 
 def mean_table(rows: Sequence[Row]) -> str:

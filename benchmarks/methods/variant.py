@@ -3,11 +3,14 @@
     python benchmarks/methods/variant.py '{"schedule.steps": 250}' recover SCENE --irradiance field --out DIR
 
 is `dante-w recover SCENE --irradiance field --out DIR` with 250 steps. A change is a field of `Preset`, dotted where it
-lies deeper, or one of three things that are no setting of the product:
+lies deeper; one of four things that are no setting of the product:
 
     ray_fraction: a random part of the traced samples, (0, 1], is all that the fit gets to see
     cache_share: part of the free memory that the ray cache may fill, [0, 1]; 0 puts it into files
+    albedo: "pyramid" keeps it in one, as fine as the preset's hash encoding, fitted at three times its rate
     decoder_precision: "bfloat16" runs the decoders' matrix products so while fitting, not in the bake
+
+or a number of traced light (`CONSTANTS`), which no preset has but its directions.
 """
 
 from __future__ import annotations
@@ -16,16 +19,19 @@ import dataclasses
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import torch
-from dante_w import cli, recover_field, stages
+from dante_w import cli, recover_field, recover_traced, stages
 from dante_w.errors import BAD_INPUT
 from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.presets import PRESETS, Preset
+from dante_w.model.pyramid import PyramidSpec
 from dante_w.rays import ray_cache
 from dante_w.rays.ray_cache import RayCache
+from dante_w.traced import lights, shading_points, transfer
 from torch import nn
 
 #: The final pass goes with the main one, as in the presets, unless it is changed itself.
@@ -33,7 +39,18 @@ FOLLOWERS: dict[str, tuple[str, Callable[[int], int]]] = {
     "schedule.steps": ("final_pass.steps", lambda steps: steps // 4),
     "schedule.batch": ("final_pass.batch", lambda batch: batch),
 }
-RAY_FRACTION, CACHE_SHARE, DECODER_PRECISION = OUTSIDE = ("ray_fraction", "cache_share", "decoder_precision")
+OUTSIDE = ("ray_fraction", "cache_share", "albedo", "decoder_precision")
+RAY_FRACTION, CACHE_SHARE, ALBEDO, DECODER_PRECISION = OUTSIDE
+#: Learning rates of a pyramid beside those of a hash encoding: without decoder, it wants more.
+PYRAMID_RATE = 3.0
+#: Directions of traced light, whatever the preset; and where its other numbers stand.
+DIRECTIONS = "traced.directions"
+CONSTANTS: dict[str, tuple[ModuleType, str]] = {
+    "traced.rays": (transfer, "RAYS_PER_DIRECTION"),
+    "traced.side": (shading_points, "SIDE"),
+    "traced.points": (lights, "POINTS"),
+    "traced.last_steps": (lights, "LAST_STEPS"),
+}
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -64,6 +81,10 @@ def install(changes: Mapping[str, Any]) -> None:
         stages.trace = lambda *arguments: thinned(trace(*arguments), fraction)
     if changes.get(DECODER_PRECISION) == "bfloat16":
         recover_field.Model = bfloat16_model  # type: ignore[assignment,misc]
+    if DIRECTIONS in changes:
+        recover_traced.DIRECTIONS = dict.fromkeys(PRESETS, changes[DIRECTIONS])
+    for name, (module, constant) in CONSTANTS.items():
+        setattr(module, constant, changes.get(name, getattr(module, constant)))
 
 
 def altered(preset: Preset, changes: Mapping[str, Any]) -> Preset:
@@ -80,11 +101,17 @@ def altered(preset: Preset, changes: Mapping[str, Any]) -> Preset:
         elif name == CACHE_SHARE:
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
                 raise ValueError(f"{name} is {value!r} and must be from 0 to 1")
+        elif name == ALBEDO:
+            if value not in ("hash", "pyramid"):
+                raise ValueError(f"{name} is {value!r} and must be hash or pyramid")
         elif name == DECODER_PRECISION:
             if value not in ("float32", "bfloat16"):
                 raise ValueError(f"{name} is {value!r} and must be float32 or bfloat16")
+        elif name in (DIRECTIONS, *CONSTANTS):
+            if type(value) is not int or value < 1:
+                raise ValueError(f"{name} is {value!r} and must be a whole number above 0")
         elif name not in kinds:
-            raise ValueError(f"{name!r} is none of {', '.join([*kinds, *OUTSIDE])}")
+            raise ValueError(f"{name!r} is none of {', '.join([*kinds, *OUTSIDE, DIRECTIONS, *CONSTANTS])}")
         elif type(value) not in (kinds[name], int):
             raise ValueError(f"{name} is {value!r} and must be of type {kinds[name].__name__}")
     inside = {name: value for name, value in changes.items() if name in kinds}
@@ -93,7 +120,22 @@ def altered(preset: Preset, changes: Mapping[str, Any]) -> Preset:
             inside.setdefault(follower, rule(inside[name]))
     for name, value in inside.items():
         preset = _replaced(preset, name.split("."), value)
-    return preset
+    return with_pyramid(preset) if changes.get(ALBEDO) == "pyramid" else preset
+
+
+def with_pyramid(preset: Preset) -> Preset:
+    """The preset with its albedo in a pyramid."""
+    grid = preset.model.albedo
+    if isinstance(grid, PyramidSpec):
+        return preset
+    model = dataclasses.replace(preset.model, albedo=PyramidSpec(grid.coarsest, grid.finest))
+    passes = {
+        name: dataclasses.replace(
+            getattr(preset, name), learning_rate=PYRAMID_RATE * getattr(preset, name).learning_rate
+        )
+        for name in ("schedule", "final_pass")
+    }
+    return dataclasses.replace(preset, model=model, **passes)
 
 
 def fields(preset: Any, prefix: str = "") -> dict[str, Any]:
@@ -117,12 +159,7 @@ def _replaced(part: Any, path: Sequence[str], value: Any) -> Any:
 
 def thinned(cache: RayCache, fraction: float) -> RayCache:
     """The cache with a random `fraction` of its samples, as if the photos had so many fewer pixels."""
-    keep = np.flatnonzero(np.random.default_rng(0).random(len(cache)) < fraction)
-    columns = {
-        name: getattr(cache, name) for name in ("face", "bary", "colour", "prior", "footprint", "edge")
-    }
-    kept = {name: column[keep] for name, column in columns.items() if column is not None}
-    return dataclasses.replace(cache, starts=np.searchsorted(keep, cache.starts), **kept)
+    return cache.of(np.flatnonzero(np.random.default_rng(0).random(len(cache)) < fraction))
 
 
 class Bfloat16(nn.Sequential):

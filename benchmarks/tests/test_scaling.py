@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import scaling
 from measure.pictures import read
 from measure.synthetic_scene import bumpy_sphere, write_photos
 from scaling import END, MEMORY, TOTAL, Run, Shape, exponent, exponents
+
+DRAFT = argparse.Namespace(irradiance="field", preset="draft")
 
 
 def run_of(size: float, rays: float, bake: float) -> Run:
@@ -62,18 +65,21 @@ def test_a_run_counts_all_seconds_and_the_cache_on_disk(
     mesh = bumpy_sphere(4)
     frames = write_photos(tmp_path / "scene", mesh, 8, 1)
     shape = Shape("photos", 2, photos=2, photo_side=8, texture_side=64)
-    run = scaling.recover(shape, "draft", tmp_path / "scene", mesh, frames, tmp_path / "result")
+    run = scaling.recover(shape, DRAFT, tmp_path / "scene", mesh, frames, tmp_path / "result")
     assert run.seconds == {"rays": 2.0, "bake": 1.0, END: 0.5, TOTAL: 3.5}
     assert (run.samples, run.peak_memory_bytes, run.cache_file_bytes) == (7, 5, 400)
 
 
 @pytest.mark.slow
-def test_the_product_runs_on_the_scene(tmp_path: Path) -> None:
+@pytest.mark.parametrize("irradiance", ["traced", "field"])
+def test_the_product_runs_on_the_scene(tmp_path: Path, irradiance: str) -> None:
     mesh = bumpy_sphere(8)
     frames = write_photos(tmp_path / "scene", mesh, 48, 2)
     shape = Shape("photos", 5, photos=5, photo_side=48, texture_side=64)
-    run = scaling.recover(shape, "draft", tmp_path / "scene", mesh, frames, tmp_path / "result")
-    assert set(scaling.STAGES) | {TOTAL} == set(run.seconds)
+    options = argparse.Namespace(irradiance=irradiance, preset="draft")
+    run = scaling.recover(shape, options, tmp_path / "scene", mesh, frames, tmp_path / "result")
+    assert list(run.seconds) == [*scaling.stages([run]), TOTAL]
+    assert ("lights" in run.seconds) == (irradiance == "traced")
     assert 0 < run.samples < 5 * 48 * 48
     assert run.seconds[END] > 0.0
 
@@ -83,7 +89,8 @@ def test_tables_and_figure_show_every_run(tmp_path: Path) -> None:
     lines = scaling.run_table(runs).splitlines()
     assert len(lines) == 2 + 3
     assert len({line.count("|") for line in lines}) == 1
-    assert "| photos |  |  | 1.00 |" in scaling.exponent_table(runs)
+    assert lines[0].startswith("| grows | size | samples (M) | rays | bake | all |")
+    assert "| photos | 1.00 |" in scaling.exponent_table(runs)
     file = tmp_path / "figure.png"
     scaling.draw(file, runs)
     picture, _ = read(file)

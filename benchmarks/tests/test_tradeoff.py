@@ -12,7 +12,20 @@ import tradeoff
 from measure.curves import draw
 from measure.pareto import PRESET, Row
 from measure.pictures import read
-from tradeoff import BASE, KNOBS, SEED, Job, Setting, mean_row, measure, note, on_front, settings
+from tradeoff import (
+    BASE,
+    FIELD,
+    KNOBS,
+    SEED,
+    TRACED,
+    Job,
+    Setting,
+    mean_row,
+    measure,
+    note,
+    on_front,
+    settings,
+)
 
 
 @pytest.fixture
@@ -50,17 +63,27 @@ def runs(monkeypatch) -> list[str]:
     return made
 
 
-def test_every_knob_has_the_value_of_standard_and_others():
-    base = Setting(PRESET, BASE).content()
-    for knob, values in KNOBS.items():
-        contents = [Setting(knob, label, changes).content() for label, changes in values]
+@pytest.mark.parametrize("irradiance", [TRACED, FIELD])
+def test_every_knob_has_the_value_of_standard_and_others(irradiance):
+    base = Setting(PRESET, BASE, irradiance=irradiance).content()
+    for knob, values in KNOBS[irradiance].items():
+        contents = [Setting(knob, label, changes, BASE, irradiance).content() for label, changes in values]
         assert contents.count(base) == 1, knob
         assert len({json.dumps(content) for content in contents}) == len(values) > 1
 
 
 def test_standard_is_always_measured():
-    assert [s.label for s in settings([], ["precision"])] == [BASE, "bfloat16", "float32"]
+    assert [s.label for s in settings([], ["precision"], FIELD)] == [BASE, "bfloat16", "float32"]
     assert [s.label for s in settings(["high", "draft"], [])] == ["draft", BASE, "high"]
+
+
+def test_presets_of_traced_light_that_do_the_same_are_one_run():
+    def content(**changes) -> list:
+        return Setting(PRESET, "", irradiance=TRACED, **changes).content()
+
+    assert content(changes={"traced.directions": 256}) == content() == content(changes={"schedule.steps": 7})
+    assert content(preset="draft") != content(changes={"traced.directions": 64})  # it leaves suns out
+    assert content(preset="high") != content()  # its textures may be larger
 
 
 def test_options_and_changes_are_told_apart():
@@ -70,14 +93,17 @@ def test_options_and_changes_are_told_apart():
 
 
 def test_expected_seconds_grow_with_the_samples():
-    times = [Setting("", "", {"schedule.steps": n}).expected_seconds() for n in (60, 500, 2000)]
+    times = [
+        Setting("", "", {"schedule.steps": n}, irradiance=FIELD).expected_seconds() for n in (60, 500, 2000)
+    ]
     assert times == sorted(times) and times[2] > 3 * times[1]
+    assert Setting("", "", preset="draft").expected_seconds() < Setting("", "").expected_seconds()
 
 
 def test_a_kept_run_is_named_after_all_it_hangs_on(scene, tmp_path, monkeypatch):
     def name(changes: dict, preset: str = BASE, machine: str = "this") -> Path:
         tradeoff.scene_digest.cache_clear()
-        return note(tmp_path, Setting("", "", changes, preset), scene, [machine])
+        return note(tmp_path, Setting("", "", changes, preset, FIELD), scene, [machine])
 
     plain = name({})
     assert name({"schedule.steps": 500}) == plain  # standard's own
@@ -115,7 +141,7 @@ def test_code_digest_sees_the_backend(tmp_path, monkeypatch):
 
 def test_finished_runs_are_not_repeated(scene, tmp_path, runs):
     options = argparse.Namespace(out=tmp_path / "out", device="auto", minutes=1e3)
-    wanted = settings(["draft"], ["steps"])
+    wanted = settings(["draft"], ["steps"], FIELD)
     jobs = [Job(each, scene, note(options.out, each, scene, [])) for each in wanted]
     measure(jobs[:2], options)
     assert runs == ["warm-up", "draft", BASE]
@@ -163,7 +189,8 @@ def test_no_run_begins_that_would_end_too_late(scene, tmp_path, runs):
 
 def test_main_goes_on_where_it_stopped(scene, tmp_path, runs, monkeypatch, capsys):
     out = tmp_path / "out"
-    arguments = ["tradeoff", str(scene.parent), "--out", str(out), "--knobs", "precision", "--json"]
+    arguments = ["tradeoff", str(scene.parent), "--out", str(out), "--irradiance", "field"]
+    arguments += ["--knobs", "precision", "--json"]
     monkeypatch.setattr("sys.argv", [*arguments, "--presets", "draft"])
     tradeoff.main()
     assert runs == ["warm-up", "draft", BASE, "bfloat16"]
@@ -175,11 +202,11 @@ def test_main_goes_on_where_it_stopped(scene, tmp_path, runs, monkeypatch, capsy
     tradeoff.main()
     assert runs[4:] == ["warm-up", "high"]
     content = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert content == json.loads((out / "tradeoff.json").read_text())
+    assert content == json.loads((out / "tradeoff-field.json").read_text())
     assert [row["label"] for row in content["rows"]] == ["draft", BASE, "high", "bfloat16", "float32"]
     assert content["made_with"]["device"] == "cpu" and content["made_with"]["objects"] == "cup"
     assert len(content["runs"]) == 4  # float32 is what `standard` does
-    assert (out / "tradeoff.png").is_file()
+    assert (out / "tradeoff-field.png").is_file()
 
 
 def test_row_is_the_mean_over_objects():
@@ -197,7 +224,7 @@ def test_figure_is_a_small_picture(tmp_path):
     random = np.random.default_rng(2)
     rows = [
         Row(s.knob, s.label, s.expected_seconds(), 0.0, 0.0, 24.0 + random.normal())
-        for s in settings(["draft", "standard", "high"], list(KNOBS))
+        for s in settings(["draft", "standard", "high"], list(KNOBS[FIELD]), FIELD)
     ]
     pictures = []
     for name, front in (("marked", on_front(rows)), ("plain", np.zeros(len(rows), bool))):
