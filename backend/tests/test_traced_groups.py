@@ -47,11 +47,12 @@ def world():
     return np.log(irradiance), np.log(albedo), exposure + np.log(0.3), seen
 
 
-def moved(world, light, log_irradiance):
+def moved(world, light, log_irradiance, as_good=1.25):
     _, log_albedo, exposure, seen = world
     target = np.log(seen.colour) - exposure[seen.photo, None]
     weight = np.ones_like(target)
-    return regroup(target, log_irradiance, log_albedo, weight, seen, light, np.ones(POINTS, bool))
+    known = np.ones(POINTS, bool)
+    return regroup(target, log_irradiance, log_albedo, weight, seen, light, known, as_good)
 
 
 def test_linkage_finds_obvious_clusters():
@@ -147,6 +148,16 @@ def test_lights_that_are_the_same_become_one(world):
 def test_different_lights_stay_apart(world):
     found, kept = moved(world, TRUTH.copy(), world[0])
     assert found.tolist() == TRUTH.tolist() and kept.tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("as_good, lights", [(1.25, 2), (1.4, 1)])
+def test_a_photo_that_nothing_explains_does_not_join_lights(world, monkeypatch, as_good, lights):
+    # two photos want light 0, one wants light 1, and a spoilt one neither
+    residual = np.array([(0.02, 0.03), (0.02, 0.03), (0.30, 0.30), (0.05, 0.02)])
+    monkeypatch.setattr(groups, "_residuals", lambda *_: (residual, np.ones(4, bool)))
+    found, kept = moved(world, np.array([0, 0, 0, 1]), world[0][:, :2], as_good)
+    assert len(kept) == lights, "the ratio of the sums is 1.06, the mean ratio 1.31"
+    assert found.tolist() == ([0, 0, 0, 1] if lights == 2 else [0, 0, 0, 0])
 
 
 def test_a_photo_that_saw_nothing_keeps_a_light(world):

@@ -24,10 +24,10 @@ COMMON, UNRELATED = 150, 0.12
 FARTHEST = 1.0
 #: Brightness (sum of linear channels) below which a ratio is mostly noise.
 DIM = 0.05
-#: A photo moves if another light's residual is this fraction of its own's; a light is given up if another explains its
-#: photos with no more than this multiple of the residual.
-BETTER, AS_GOOD = 0.97, 1.25
-OUTLIER = 0.4  # log residuals count no more than this
+#: A photo moves if another light's residual is this fraction of its own's.
+BETTER = 0.97
+#: Log residuals count no more than this, and their means no less.
+OUTLIER, SMALLEST = 0.4, 1e-6
 
 
 def first_groups(seen: Observations, points: int, photos: int) -> np.ndarray:
@@ -111,37 +111,57 @@ def regroup(
     seen: Observations,
     light: np.ndarray,
     known: np.ndarray,
+    as_good: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move photos and join lights; returns the new light (K,) of each photo and which lights are kept.
+
+    A light is given up if another explains its photos with no more than `as_good` times their residuals: the geometric
+    mean of the photos' own ratios, since a photo that no light explains well would drown the others in a ratio of sums.
 
     Args:
         target: (M, 3) log colours over exposure. log_irradiance: (C, J, 3). log_albedo: (C, 3).
     """
-    photos, lights = len(light), log_irradiance.shape[1]
-    cost = np.full((photos, lights), np.inf)
+    residual, shows = _residuals(target, log_irradiance, log_albedo, weight, seen, len(light), known)
+    own = residual[np.arange(len(light)), light]
+    moved = np.where(residual.min(axis=1) < BETTER * own, residual.argmin(axis=1), light)
+    log = np.log(np.maximum(residual, SMALLEST))
+    for j in np.argsort(np.bincount(moved, minlength=residual.shape[1]), kind="stable"):
+        members = np.flatnonzero(moved == j)
+        others = np.setdiff1d(moved, j)
+        if len(members) == 0 or len(others) == 0:
+            continue
+        telling = members[shows[members]]
+        worse = (log[telling][:, others] - log[telling, j][:, None]).sum(axis=0) / max(len(telling), 1)
+        if worse.min() <= np.log(as_good):
+            moved[members] = others[int(worse.argmin())]
+    kept, renumbered = np.unique(moved, return_inverse=True)
+    return renumbered, kept
+
+
+def _residuals(
+    target: np.ndarray,
+    log_irradiance: np.ndarray,
+    log_albedo: np.ndarray,
+    weight: np.ndarray,
+    seen: Observations,
+    photos: int,
+    known: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(K, J) what each light leaves unexplained of each photo, up to the exposure that fits best, as a mean of absolute logs;
+    and (K,) which photos show anything, the others' are 0. Arguments as of `regroup`."""
+    residual, shows = np.zeros((photos, log_irradiance.shape[1])), np.zeros(photos, bool)
     ends = np.searchsorted(seen.photo, np.arange(photos + 1))
     for k in range(photos):
         rows = np.arange(ends[k], ends[k + 1])
         rows = rows[known[seen.point[rows]] & (weight[rows] > 0.0).all(axis=1)]
         if len(rows) == 0:
-            cost[k] = 0.0
             continue
         point, w = seen.point[rows], weight[rows]
         left = (target[rows] - log_albedo[point])[:, None, :] - log_irradiance[point]
         offset = (w[:, None] * left).sum(axis=(0, 2), keepdims=True) / w.sum()
-        cost[k] = (w[:, None] * np.minimum(np.abs(left - offset), OUTLIER)).sum(axis=(0, 2)) / w.sum()
-    everyone = np.arange(photos)
-    moved = np.where(cost.min(axis=1) < BETTER * cost[everyone, light], cost.argmin(axis=1), light)
-    for j in np.argsort(np.bincount(moved, minlength=lights), kind="stable"):
-        members = np.flatnonzero(moved == j)
-        others = [i for i in np.unique(moved) if i != j]
-        if len(members) == 0 or not others:
-            continue
-        means = cost[members][:, others].mean(axis=0)
-        if means.min() <= AS_GOOD * cost[members, j].mean():
-            moved[members] = others[int(means.argmin())]
-    kept, renumbered = np.unique(moved, return_inverse=True)
-    return renumbered, kept
+        residual[k] = (w[:, None] * np.minimum(np.abs(left - offset), OUTLIER)).sum(axis=(0, 2)) / w.sum()
+        shows[k] = True
+    return residual, shows
 
 
 def _average_linkage(apart: np.ndarray, groups: int, known: np.ndarray | None = None) -> np.ndarray:

@@ -44,8 +44,11 @@ FEWEST_PHOTOS = (
 FAINTEST = 1e-5
 #: What is shown is taken to be diffuse by this share at least.
 LEAST_DIFFUSE = 0.05
-#: Directions of light in the first steps; these steps; those after which photos may change their light; the last steps.
-COARSE, FIRST_STEPS, REGROUP, LAST_STEPS = 64, 9, (3, 5, 7), 7
+#: Directions of light in the first steps; these steps; the last steps.
+COARSE, FIRST_STEPS, LAST_STEPS = 64, 9, 7
+#: Steps after which photos may change their light, and how well another is to explain them for a light to be given up (see
+#: `regroup`): early on all explain badly, and photos of two lights that have become one do not part again.
+REGROUP = {3: 1.1, 5: 1.15, 7: 1.25}
 #: The step that sets the level, and how far it is believed: on seven rendered objects the true level goes with what it finds
 #: by a slope of 0.5.
 LEVEL_STEP, LEVEL_TRUST = 13, 0.55
@@ -226,6 +229,7 @@ def refine(
                 of.seen,
                 lights.light,
                 lights.known,
+                REGROUP[done],
             )
             lights = replace(
                 lights, radiance=lights.radiance[kept], light=light, bounce=lights.bounce[:, kept]

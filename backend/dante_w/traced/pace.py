@@ -149,7 +149,7 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
         return equations + explained + PAIRED * chosen * pace.explain
 
     def solve(first: int, lights: int, share: float) -> float:
-        early = REGROUP[0] + 1
+        early = min(REGROUP) + 1
         regrouping = len(REGROUP) * first * share * observations * pace.explain / LIGHTS
         return early * step(first, few, share) + (FIRST_STEPS - early) * step(lights, few, share) + regrouping
 
