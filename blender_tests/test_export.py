@@ -70,6 +70,30 @@ def test_the_render_uv_map_is_written(tmp_path):
     assert exported(cube, tmp_path / "b.obj")[1].tolist() == [[0.25, 0.25]]
 
 
+def normals_of(path):
+    """(F, 3, 3) as the file names them."""
+    lines = path.read_text().splitlines()
+    table = np.array([line.split()[1:] for line in lines if line.startswith("vn ")], float)
+    corners = [[word.split("/") for word in line.split()[1:]] for line in lines if line.startswith("f ")]
+    return table[np.array(corners)[..., 2].astype(int) - 1]
+
+
+@pytest.mark.parametrize("flip", [1.0, -1.0])
+def test_smooth_shading_is_written_and_turns_as_normals_do(tmp_path, flip):
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=1.0, segments=24, ring_count=12)
+    sphere = bpy.context.active_object
+    exported(sphere, tmp_path / "flat.obj")
+    assert "vn " not in (tmp_path / "flat.obj").read_text(), "the backend makes smooth ones"
+    bpy.ops.object.shade_smooth()
+    sphere.matrix_world = Matrix.Diagonal((flip * 1.0, 2.0, 4.0, 1.0))
+    vertices, _, corners, _ = exported(sphere, tmp_path / "smooth.obj")
+    normals = normals_of(tmp_path / "smooth.obj")
+    wanted = vertices[corners] / np.square((1.0, 2.0, 4.0))  # of an ellipsoid
+    wanted /= np.linalg.norm(wanted, axis=2, keepdims=True)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=2), 1.0, atol=1e-6)
+    assert (normals * wanted).sum(axis=2).min() > 0.999
+
+
 def test_uvs_belong_to_their_corners(tmp_path):
     bpy.ops.mesh.primitive_plane_add(size=2.0)
     vertices, uvs, corners, uv_corners = exported(bpy.context.active_object, tmp_path / "a.obj")

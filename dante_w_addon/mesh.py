@@ -20,13 +20,16 @@ class Triangles:
     """A triangulated mesh in world space.
 
     `vertices` (V, 3) float64; `corners` (F, 3) vertex of each triangle corner; `uvs` (T, 2) and `uv_corners`
-    (F, 3), or None for a mesh with no UV map.
+    (F, 3), or None for a mesh with no UV map; `normals` (N, 3) and `normal_corners` (F, 3), or None for a mesh that is
+    shaded flat throughout: the photos' surface is rarely so, and the backend makes smooth ones.
     """
 
     vertices: np.ndarray
     corners: np.ndarray
     uvs: np.ndarray | None
     uv_corners: np.ndarray | None
+    normals: np.ndarray | None = None
+    normal_corners: np.ndarray | None = None
 
 
 def evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Triangles:
@@ -50,22 +53,38 @@ def evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Triangle
         loops = _read(mesh.loop_triangles, "loops", count, 3, np.int32)
         layer = render_uv_map(mesh)
         corner_uvs = None if layer is None else _read(layer.uv, "vector", len(mesh.loops), 2, np.float32)
+        corner_normals = None
+        if mesh.normals_domain != "FACE":
+            corner_normals = _read(mesh.corner_normals, "vector", len(mesh.loops), 3, np.float32)
         matrix = np.array(shown.matrix_world, np.float64)
     finally:
         shown.to_mesh_clear()
     vertices = local.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     if not np.isfinite(vertices).all():
         raise scene_folder.BadInput(f"{obj.name} has vertices that are not finite; repair the mesh.")
-    if np.linalg.det(matrix[:3, :3]) < 0.0:  # a mirror turns faces inside out
-        corners, loops = corners[:, ::-1], loops[:, ::-1]
+    turn = matrix[:3, :3]
+    cofactors = np.cross(turn[[1, 2, 0]], turn[[2, 0, 1]])  # as normals turn
+    if np.linalg.det(turn) < 0.0:  # a mirror turns faces inside out
+        corners, loops, cofactors = corners[:, ::-1], loops[:, ::-1], -cofactors
+    normals = normal_corners = None
+    if corner_normals is not None:
+        steps = np.rint(32767.0 * corner_normals).astype(np.int64) + 32768
+        normals, normal_corners = _shared(corner_normals, steps @ (1 << 34, 1 << 17, 1), loops)
+        normals = normals @ cofactors.T
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
     if corner_uvs is None:
-        return Triangles(vertices, corners, None, None)
+        return Triangles(vertices, corners, None, None, normals, normal_corners)
     inside = np.clip(corner_uvs, 0.0, 1.0)  # modifiers leave the unit square by a rounding error
     corner_uvs = np.where(np.abs(inside - corner_uvs) < 1e-5, inside, corner_uvs)
-    # Corners that share a UV share an entry, as seams are found by it.
     keys = np.ascontiguousarray(corner_uvs).view(np.uint64).ravel()
+    uvs, uv_corners = _shared(corner_uvs, keys, loops)  # seams are found by it
+    return Triangles(vertices, corners, uvs, uv_corners, normals, normal_corners)
+
+
+def _shared(values: np.ndarray, keys: np.ndarray, loops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What corners have (L, width), those of the same key (L,) once, as float64; and which of them `loops` (F, 3) have."""
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    return Triangles(vertices, corners, corner_uvs[first].astype(np.float64), inverse.ravel()[loops])
+    return values[first].astype(np.float64), inverse.ravel()[loops]
 
 
 def render_uv_map(mesh: bpy.types.Mesh) -> bpy.types.MeshUVLoopLayer | None:
@@ -77,15 +96,19 @@ def write_obj(path: Path, mesh: Triangles) -> None:
     """Write an OBJ whose decimal numbers read back to the same float64."""
     with open(path, "w", encoding="ascii", newline="\n") as file:
         file.writelines(f"v {x!r} {y!r} {z!r}\n" for x, y, z in mesh.vertices.tolist())
-        corners = (mesh.corners + 1).tolist()
-        if mesh.uvs is None:
-            file.writelines(f"f {a} {b} {c}\n" for a, b, c in corners)
-            return
-        file.writelines(f"vt {u!r} {v!r}\n" for u, v in mesh.uvs.tolist())
-        file.writelines(
-            f"f {a}/{p} {b}/{q} {c}/{r}\n"
-            for (a, b, c), (p, q, r) in zip(corners, (mesh.uv_corners + 1).tolist(), strict=True)
-        )
+        columns, corner = [mesh.corners], "{}"
+        if mesh.uvs is not None:
+            file.writelines(f"vt {u!r} {v!r}\n" for u, v in mesh.uvs.tolist())
+            columns, corner = [*columns, mesh.uv_corners], "{}/{}"
+        if mesh.normals is not None:
+            file.writelines(f"vn {x!r} {y!r} {z!r}\n" for x, y, z in mesh.normals.tolist())
+            columns, corner = (
+                [*columns, mesh.normal_corners],
+                corner + ("//{}" if mesh.uvs is None else "/{}"),
+            )
+        line = f"f {corner} {corner} {corner}\n"
+        rows = np.stack(columns, axis=2).reshape(len(mesh.corners), -1) + 1
+        file.writelines(line.format(*row) for row in rows.tolist())
 
 
 def _read(collection, attribute: str, rows: int, columns: int, kind: type) -> np.ndarray:

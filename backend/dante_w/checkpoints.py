@@ -118,8 +118,8 @@ def _key(options: argparse.Namespace, scene: Scene, mesh: Mesh) -> str:
         if file is not None and file.is_file()
     ]
     told = hashlib.sha256(json.dumps([__version__, settings, poses, stamps]).encode())
-    for array in (mesh.vertices, mesh.faces, mesh.uvs):
-        told.update(np.ascontiguousarray(array).data)
+    for array in (mesh.vertices, mesh.faces, mesh.uvs, mesh.normals):
+        told.update(np.ascontiguousarray(() if array is None else array).data)
     return told.hexdigest()
 
 

@@ -21,7 +21,7 @@ from dante_w.model.fields import Model, ModelSpec
 from dante_w.model.held_out import SCHEDULE
 from dante_w.model.optimise import LossTerms, Schedule, fit, psnr
 from dante_w.model.presets import sized
-from dante_w.rays.ray_cache import RayCache, Surface, face_geometry, footprints
+from dante_w.rays.ray_cache import RayCache, face_geometry, footprints, surface_of
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import Photo, read_photo, write_exr, write_png
@@ -169,7 +169,7 @@ def _cast(
     if not any(map(len, faces)):  # the run itself will say so if nothing is ever hit
         faces[0], barys[0], colours[0] = np.zeros(1, np.int32), np.zeros((1, 2)), np.full((1, 3), 0.5)
         spans[0] = np.ones(1)
-    surface = Surface(torch.from_numpy(mesh.uvs).float(), torch.from_numpy(corners).float())
+    surface = surface_of(mesh, corners, geometry[0])
     colour = np.concatenate(colours).clip(0.0, 1.0).astype(np.float16)
     bary = np.rint(np.concatenate(barys) * 65535.0).astype(np.uint16)
     starts = np.cumsum([0, *map(len, faces)]).astype(np.int64)

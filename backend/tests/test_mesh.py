@@ -74,7 +74,10 @@ def test_obj_with_polygons_uvs_normals_groups_and_comments(tmp_path):
     )
     faces, uvs = [*FANS, [2, 1, 0]], np.array(CORNERS)[[*FANS, [2, 1, 0]]]
     for line_end in ("\n", "\r\n", "\r"):
-        same(read(tmp_path, "a.obj", content.replace("\n", line_end)), SQUARE, faces, uvs)
+        mesh = read(tmp_path, "a.obj", content.replace("\n", line_end))
+        same(mesh, SQUARE, faces, uvs)
+        assert mesh.normals.dtype == np.float32
+        np.testing.assert_array_equal(mesh.normals, np.full((3, 3, 3), (0.0, 0.0, 1.0)))
 
 
 @pytest.mark.parametrize("face", ["f 1 2 3 4", "f 1//9 2//9 3//9 4//9", "f\t1\t2   3 4", "f 1/ 2/ 3/ 4/"])
@@ -148,7 +151,10 @@ def meshes(draw):
         st.none()
         | arrays.arrays(np.float64, (*shape, 2), elements=st.sampled_from([0.1, -0.0, 0.0, 1e-9, 7.5]))
     )
-    return Mesh(vertices, faces, uvs)
+    unit = st.sampled_from([-0.0, 0.6, np.float32(1 / 3)])
+    normals = draw(st.none() | arrays.arrays(np.float32, (*shape, 3), elements=unit))
+    # a corner names a normal at least where a mesh has some
+    return Mesh(vertices, faces, uvs, normals)
 
 
 @in_one_folder
@@ -159,6 +165,8 @@ def test_obj_reads_back_bit_for_bit(tmp_path, mesh):
     same(back, mesh.vertices, mesh.faces, mesh.uvs)
     assert back.vertices.tobytes() == mesh.vertices.tobytes()
     assert mesh.uvs is None or back.uvs.tobytes() == mesh.uvs.tobytes()
+    assert (back.normals is None) == (mesh.normals is None)
+    assert mesh.normals is None or back.normals.tobytes() == mesh.normals.tobytes()
 
 
 def test_obj_is_compact(tmp_path):
@@ -189,6 +197,26 @@ def test_unique_rows_rebuild_their_rows(rows):
     assert table[index].tobytes() == rows.tobytes()
     assert len({row.tobytes() for row in rows}) == len(table)
     assert index[0] == 0 and (np.diff(np.unique(index, return_index=True)[1]) > 0).all()
+
+
+NORMALS = [(1, 0, 0), (0, 2, 0), (0, 0, 3)]
+
+
+@pytest.mark.parametrize(
+    "face, used",
+    [("f 1//1 2//2 3//3", [0, 1, 2]), ("f 1/1/-1 2/2/-2 3/3/-3", [2, 1, 0]), ("f 1//2 2 3//9", [1])],
+)
+def test_obj_normals_belong_to_their_corners(tmp_path, face, used):
+    mesh = read(tmp_path, "a.obj", v_lines(SQUARE) + v_lines(CORNERS, "vt") + v_lines(NORMALS, "vn") + face)
+    wanted = [NORMALS[i] for i in used] + [(0, 0, 0)] * (3 - len(used))  # a corner may have none
+    np.testing.assert_array_equal(mesh.normals, [wanted])
+
+
+@pytest.mark.parametrize("line", ["", "vn 0 0 -1.#IND\n", "vn 0 0\n"])
+def test_obj_normals_that_are_none_do_no_harm(tmp_path, line):
+    assert read(tmp_path, "a.obj", v_lines(SQUARE) + line + "f 1//1 2//1 3//1").normals is None
+    odd = read(tmp_path, "a.obj", v_lines(SQUARE) + "vn nan inf 1e300\nf 1//1 2//1 3//1").normals
+    np.testing.assert_array_equal(odd[0, 0], np.float32([np.nan, np.inf, np.inf]))
 
 
 # PLY
@@ -244,6 +272,13 @@ class TestPly:
         vertices = [[*xyz, *uv] for xyz, uv in zip(SQUARE, CORNERS, strict=True)]
         content = ply(form, [("vertex", properties, vertices), ("face", LIST, [[face] for face in FANS])])
         same(read(tmp_path, "a.ply", content), SQUARE, FANS, square_uvs())
+
+    def test_normals_of_vertices(self, tmp_path, form):
+        properties = [*XYZ, "float nx", "float ny", "double nz"]
+        vertices = [[*xyz, i, 0.5, -1] for i, xyz in enumerate(SQUARE)]
+        content = ply(form, [("vertex", properties, vertices), ("face", LIST, [[face] for face in FANS])])
+        wanted = np.array([vertex[3:] for vertex in vertices])[np.array(FANS)]
+        np.testing.assert_array_equal(read(tmp_path, "a.ply", content).normals, wanted)
 
     def test_uvs_of_faces(self, tmp_path, form):
         properties = ["list uchar uint vertex_index", "list uchar float texcoord"]
@@ -360,6 +395,15 @@ def test_glb_nodes_move_turn_scale_and_repeat(tmp_path):
     np.testing.assert_array_equal(mesh.vertices[4:], [[5 - x, 6 + y, 7] for x, y, _ in SQUARE])
     np.testing.assert_array_equal(mesh.faces[2:], np.array(FANS)[:, ::-1] + 4)  # mirrored: turned round
     np.testing.assert_array_equal(mesh.uvs[2:], square_uvs()[:, ::-1])
+
+
+@pytest.mark.parametrize("flip", [1.0, -1.0])
+def test_glb_normals_turn_with_their_node(tmp_path, flip):
+    document, binary = square_glb(attributes={"POSITION": 0, "TEXCOORD_0": 1, "NORMAL": 0})
+    document["nodes"][0]["scale"] = [2.0 * flip, 1.0, 1.0]
+    mesh = read(tmp_path, "a.glb", glb(document, binary))
+    own = np.array(SQUARE, float)[np.array(FANS)[:, :: int(flip)]]  # positions stand in for normals
+    np.testing.assert_array_equal(mesh.normals, own * (flip, 2.0, 2.0))
 
 
 def test_glb_without_scenes_indices_or_uvs(tmp_path):

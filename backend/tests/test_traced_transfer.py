@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,7 @@ from dante_w.color import linear_from_srgb_array
 from dante_w.rays.ray_cache import RayCache, Surface
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
-from dante_w.traced.shading_points import CLIPPED, SIDE, ShadingPoints, cells, face_normals, gather
+from dante_w.traced.shading_points import CLIPPED, SIDE, ShadingPoints, cells, facing, gather
 from dante_w.traced.transfer import Transfer, bounced, sphere, trace_transfer
 
 CHART = 8  # cells along either side of a quad's chart
@@ -241,8 +243,14 @@ def test_points_lie_in_their_cells_and_photos_may_see_nothing():
     assert len(points) == 1 and seen.photo.tolist() == [1]
 
 
-def test_faces_without_area_have_no_normal():
-    found = face_normals(
-        np.array([[(0, 0, 0), (1, 0, 0), (0, 2, 0)], [(0, 0, 0), (1, 1, 1), (2, 2, 2)]], np.float32)
-    )
-    np.testing.assert_array_equal(found, [(0, 0, 1), (0, 0, 0)])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_face_is_seen_from_one_side_and_without_area_has_no_normal(side):
+    corners = [[(0, 0, 0), (1, 0, 0), (0, 2, 0)], [(0, 0, 0), (1, 1, 1), (2, 2, 2)]]
+    flat = Surface(torch.zeros(2, 3, 2), torch.tensor(corners, dtype=torch.float32))
+    given = np.arange(2), np.full((2, 2), 20000, np.uint16), np.zeros((2, 3), np.float32), (0.1, 0.1, side)
+    np.testing.assert_array_equal(facing(flat, *given), [(0, 0, side), (0, 0, 0)])
+    # a camera that sees the face at a grazing angle is still on the same side of it
+    tilted = torch.tensor([[(0.8, 0.0, 0.6)] * 3, [(0.0, 0.0, 0.0)] * 3])
+    given = *given[:3], (-1.0, 0.0, 0.1 * side)
+    found = facing(replace(flat, normals=tilted), *given)
+    np.testing.assert_allclose(found, [(0.8 * side, 0, 0.6 * side), (0, 0, 0)], atol=1e-6)

@@ -61,7 +61,8 @@ def methods(presets: Sequence[str], priors: Sequence[str]) -> Iterator[Method]:
         if prior != NO_PRIOR:
             yield Method("raw prior", "raw prior", prior=prior)
         yield Method("ours, traced light", "dante-w", ("recover",), prior)
-        yield Method("ours, traced light, draft", "dante-w", ("recover", "--preset", "draft"), prior)
+        for preset in ("draft", "high"):
+            yield Method(f"ours, traced light, {preset}", "dante-w", ("recover", "--preset", preset), prior)
         if prior != NO_PRIOR:
             yield Method("ours w/o PR", "dante-w", (*FIELD, "--preset", FULL, "--no-photometric"), prior)
         yield Method("ours, equal bands", "dante-w", (*FIELD, "--preset", FULL, "--equal-bands"), prior)

@@ -25,6 +25,7 @@ from dante_w.errors import BadInput
 from dante_w.jit import njit_fast
 from dante_w.rays.edges import edge_distances
 from dante_w.rays.levels import levelled
+from dante_w.rays.normals import corner_normals
 from dante_w.rays.raycast import Frame3D, Hits, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import Photo, read_photo, read_prior
@@ -57,11 +58,12 @@ _PRIOR = {"prior": (np.float16, (4,))}
 
 @dataclass(frozen=True)
 class Surface:
-    """The mesh as the samples need it, per face corner: texture coordinates (F, 3, 2) and positions (F, 3, 3)
-    in the unit cube, float32."""
+    """The mesh as the samples need it, per face corner: texture coordinates (F, 3, 2), positions (F, 3, 3)
+    in the unit cube, and shading normals (F, 3, 3), without which the faces' own are taken; float32."""
 
     uvs: torch.Tensor
     positions: torch.Tensor
+    normals: torch.Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -257,7 +259,7 @@ def trace(
             "coordinate system."
         )
     arrays = {name: column.finish() for name, column in columns.items()}
-    surface = Surface(torch.from_numpy(mesh.uvs).float(), torch.from_numpy(corners).float())
+    surface = surface_of(mesh, corners, face_normals)
     starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     return RayCache(
         surface,
@@ -271,6 +273,12 @@ def trace(
         arrays["edge"],
         np.array(levels),
     )
+
+
+def surface_of(mesh: Mesh, corners: np.ndarray, face_normals: np.ndarray) -> Surface:
+    """What samples of `mesh`, which has UVs, need of it; arguments as of `corner_normals`, in the unit cube."""
+    arrays = mesh.uvs, corners, corner_normals(mesh, corners, face_normals)
+    return Surface(*(torch.from_numpy(np.asarray(array, np.float32)) for array in arrays))
 
 
 def sample_bytes(prior: bool) -> int:

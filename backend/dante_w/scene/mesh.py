@@ -36,12 +36,14 @@ _BROKEN = (
 @dataclass(frozen=True)
 class Mesh:
     """Triangles: `vertices` float64 (V, 3), `faces` int32 (F, 3) indices of vertices, `uvs` float64
-    (F, 3, 2) per corner or None. Faces keep the file's order; polygons are cut into fans. A corner that
-    has no UV in a mesh where others do has (0, 0)."""
+    (F, 3, 2) per corner or None, `normals` float32 (F, 3, 3) per corner or None. Faces keep the file's order;
+    polygons are cut into fans. A corner that has no UV in a mesh where others do has (0, 0). Normals are as the
+    file has them, of any length and not always finite; (0, 0, 0) where there is none."""
 
     vertices: np.ndarray
     faces: np.ndarray
     uvs: np.ndarray | None
+    normals: np.ndarray | None = None
 
 
 def read_mesh(path: Path) -> Mesh:
@@ -57,7 +59,7 @@ def read_mesh(path: Path) -> Mesh:
     if parse is None:
         raise BadInput(f"{path}: meshes of this kind are not read; export the mesh as .obj, .ply or .glb.")
     try:
-        vertices, faces, uvs = parse(path.read_bytes())
+        arrays = parse(path.read_bytes())
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
     except FileNotFoundError as error:
@@ -69,10 +71,16 @@ def read_mesh(path: Path) -> Mesh:
     except _BROKEN as error:
         kind = path.suffix[1:].upper()
         raise BadInput(f"{path}: is not a well-formed {kind} mesh; export it again.") from error
-    return checked(path, vertices, faces, uvs)
+    return checked(path, *arrays)
 
 
-def checked(path: Path, vertices: np.ndarray, faces: np.ndarray, uvs: np.ndarray | None) -> Mesh:
+def checked(
+    path: Path,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    uvs: np.ndarray | None,
+    normals: np.ndarray | None = None,
+) -> Mesh:
     """A Mesh of these arrays. Raises BadInput, naming `path`, where they do not make one."""
     if len(faces) == 0:
         raise BadInput(f"{path}: the mesh has no faces; export it with its faces.")
@@ -88,16 +96,20 @@ def checked(path: Path, vertices: np.ndarray, faces: np.ndarray, uvs: np.ndarray
     if uvs is not None and not np.isfinite(uvs).all():
         bad = int(np.argmin(np.isfinite(uvs).all(axis=(1, 2))))
         raise BadInput(f"{path}: face {bad} has a UV that is not finite; unwrap the mesh again.")
+    if normals is not None:
+        with np.errstate(over="ignore"):
+            normals = np.ascontiguousarray(normals, np.float32)
     return Mesh(
         np.ascontiguousarray(vertices, np.float64),
         np.ascontiguousarray(faces, np.int32),
         None if uvs is None else np.ascontiguousarray(uvs, np.float64),
+        normals,
     )
 
 
 def write_obj(path: Path, mesh: Mesh) -> None:
     """Write OBJ. Every number reads back as the same float64, in as few digits as that takes; vertices
-    and faces keep their order, equal UVs are written once.
+    and faces keep their order, equal UVs and normals are written once.
 
     Raises:
         OutOfRoom: the disk is full.
@@ -106,13 +118,17 @@ def write_obj(path: Path, mesh: Mesh) -> None:
     try:
         with open(path, "w", encoding="ascii", newline="\n") as target:
             target.writelines(f"v {x!r} {y!r} {z!r}\n" for x, y, z in mesh.vertices.tolist())
-            if mesh.uvs is None:
-                target.writelines(f"f {a} {b} {c}\n" for a, b, c in (mesh.faces + 1).tolist())
-            else:
-                table, index = unique_rows(mesh.uvs.reshape(-1, 2))
-                target.writelines(f"vt {u!r} {v!r}\n" for u, v in table.tolist())
-                corners = np.stack([mesh.faces + 1, index.reshape(-1, 3) + 1], axis=2).reshape(-1, 6)
-                target.writelines(f"f {a}/{i} {b}/{j} {c}/{k}\n" for a, i, b, j, c, k in corners.tolist())
+            columns, corner = [mesh.faces + 1], "{}"
+            for keyword, values in (("vt", mesh.uvs), ("vn", mesh.normals)):
+                if values is None:
+                    continue
+                table, index = unique_rows(values.reshape(-1, values.shape[2]))
+                target.writelines(f"{keyword} {' '.join(map(repr, row))}\n" for row in table.tolist())
+                columns.append(index.reshape(-1, 3) + 1)
+                corner += "//{}" if keyword == "vn" and mesh.uvs is None else "/{}"
+            line = f"f {corner} {corner} {corner}\n"
+            corners = np.stack(columns, axis=2).reshape(len(mesh.faces), -1)
+            target.writelines(line.format(*row) for row in corners.tolist())
     except OSError as error:
         if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", None)):
             if not os.path.islink(path):
@@ -124,9 +140,10 @@ def write_obj(path: Path, mesh: Mesh) -> None:
 
 
 def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The distinct rows of float64 (N, 2), bit for bit, in order of first use, and for each row the index
+    """The distinct rows (N, width) as float64, bit for bit, in order of first use, and for each row the index
     of its like: `table[index] == rows`."""
-    keys = np.ascontiguousarray(rows, np.float64).view(np.dtype((np.void, 16))).ravel()
+    rows = np.ascontiguousarray(rows, np.float64)
+    keys = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1]))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), np.int64)

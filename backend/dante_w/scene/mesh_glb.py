@@ -19,10 +19,11 @@ _DEEPEST = 200  #: nodes within nodes; more is a loop
 
 
 def parse_glb(data: bytes) -> Arrays:
-    """Vertices float64 (V, 3) in glTF's axes (y up), faces int64 (F, 3), UVs float64 (F, 3, 2) or None.
+    """Vertices float64 (V, 3) in glTF's axes (y up), faces int64 (F, 3), UVs float64 (F, 3, 2) or None, normals (F, 3, 3) or
+    None.
 
     UVs are TEXCOORD_0 with v turned to grow upwards. Primitives of points and lines are skipped, one
-    without UVs gets (0, 0) where others have them. Skins and morph targets are not applied.
+    without UVs gets (0, 0) where others have them, and likewise without normals. Skins and morph targets are not applied.
 
     Raises:
         BadInput: a sentence without the file's name. ValueError, KeyError, IndexError, TypeError,
@@ -42,13 +43,22 @@ def parse_glb(data: bytes) -> Arrays:
         raise BadInput("the mesh is compressed (Draco or meshopt); export it without compression.")
     if not parts:
         raise BadInput("the mesh has no faces; export it with its faces.")
-    starts = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
+    starts = np.cumsum([0] + [len(part[0]) for part in parts])
     vertices = np.concatenate([part[0] for part in parts])
     faces = np.concatenate([part[1] + start for part, start in zip(parts, starts[:-1], strict=True)])
-    if all(uvs is None for _, _, uvs in parts):
-        return vertices, faces, None
-    filled = [np.zeros((len(part[1]), 3, 2)) if part[2] is None else part[2] for part in parts]
-    return vertices, faces, np.concatenate(filled)
+    counts = [len(part[1]) for part in parts]
+    uvs, normals = (_joined([part[which] for part in parts], counts, which) for which in (2, 3))
+    return vertices, faces, uvs, normals
+
+
+def _joined(arrays: list[np.ndarray | None], counts: list[int], width: int) -> np.ndarray | None:
+    """(F, 3, width) what the parts have at their faces' corners, 0 where one has none; None where none has any."""
+    if all(array is None for array in arrays):
+        return None
+    empty = (np.zeros((count, 3, width)) for count in counts)
+    return np.concatenate(
+        [none if array is None else array for none, array in zip(empty, arrays, strict=True)]
+    )
 
 
 def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
@@ -127,10 +137,13 @@ def _primitive(document: dict[str, Any], binary: bytes, primitive: dict[str, Any
         faces = np.arange(len(vertices), dtype=np.int64).reshape(-1, 3)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
         raise BadInput("a face names a vertex that is not there; export the mesh again.")
-    if "TEXCOORD_0" not in attributes:
-        return vertices, faces, None
-    uvs = _accessor(document, binary, attributes["TEXCOORD_0"], 2)
-    return vertices, faces, np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1)[faces]
+    uvs, normals = None, None
+    if "TEXCOORD_0" in attributes:
+        uvs = _accessor(document, binary, attributes["TEXCOORD_0"], 2)
+        uvs = np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1)[faces]
+    if "NORMAL" in attributes:
+        normals = _accessor(document, binary, attributes["NORMAL"], 3)[faces]
+    return vertices, faces, uvs, normals
 
 
 def _accessor(document: dict[str, Any], binary: bytes, index: int, width: int) -> np.ndarray:
@@ -160,10 +173,15 @@ def _accessor(document: dict[str, Any], binary: bytes, index: int, width: int) -
 
 def _moved(part: Arrays, matrix: np.ndarray) -> Arrays:
     """The part in world space; a mirroring matrix turns the faces' corners round, as glTF asks."""
-    vertices, faces, uvs = part
+    vertices, faces, uvs, normals = part
     if not np.isfinite(matrix).all():
         raise BadInput("a node's transform is not finite; export the mesh again.")
-    vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
-    if np.linalg.det(matrix[:3, :3]) < 0.0:
-        faces, uvs = faces[:, ::-1], None if uvs is None else uvs[:, ::-1]
-    return vertices, faces, uvs
+    turn = matrix[:3, :3]
+    vertices = vertices @ turn.T + matrix[:3, 3]
+    mirrored = np.linalg.det(turn) < 0.0
+    if normals is not None:  # as cross products turn, back to the outer side where mirrored
+        cofactors = np.cross(turn[[1, 2, 0]], turn[[2, 0, 1]])
+        normals = normals @ (-cofactors if mirrored else cofactors).T
+    if mirrored:
+        faces, uvs, normals = (None if each is None else each[:, ::-1] for each in (faces, uvs, normals))
+    return vertices, faces, uvs, normals

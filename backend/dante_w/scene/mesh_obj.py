@@ -1,4 +1,4 @@
-"""Wavefront OBJ: v, vt and f lines; everything else is skipped. Fast enough for a million faces."""
+"""Wavefront OBJ: v, vt, vn and f lines; everything else is skipped. Fast enough for a million faces."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ import numpy as np
 from dante_w.errors import BadInput
 from dante_w.scene.mesh_fan import fan
 
-Arrays = tuple[np.ndarray, np.ndarray, np.ndarray | None]
+#: Vertices, faces, UVs and normals.
+Arrays = tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]
 
 
 def parse_obj(data: bytes) -> Arrays:
-    """Vertices float64 (V, 3), faces int64 (F, 3), UVs float64 (F, 3, 2) or None.
+    """Vertices float64 (V, 3), faces int64 (F, 3), UVs float64 (F, 3, 2) or None, normals float64 (F, 3, 3) or None.
 
     Polygons are cut into fans, indices may count from the end, groups and materials are ignored. A corner
-    without a UV gets (0, 0) where others have one.
+    without a UV gets (0, 0) where others have one, and likewise without a normal; where normals are no numbers there are none.
 
     Raises:
         BadInput: a sentence without the file's name. Numbers may still be out of range or not finite.
@@ -25,7 +26,7 @@ def parse_obj(data: bytes) -> Arrays:
     texture = numbers([line for line in lines if line.startswith(b"vt ")], 2, "UVs")
     polygons = [line for line in lines if line.startswith(b"f ")]
     if not polygons:
-        return vertices, np.empty((0, 3), np.int64), None
+        return vertices, np.empty((0, 3), np.int64), None, None
     sizes, corners = _corners(polygons)
     if (corners < 0).any():
         _count_from_start(lines, sizes, corners)
@@ -35,10 +36,27 @@ def parse_obj(data: bytes) -> Arrays:
         raise BadInput("a face names a UV that is not there; export the mesh again.")
     triangles = fan(sizes)
     faces = corners[:, 0][triangles] - 1
-    used = corners[:, 1][triangles]
-    if not used.any():
-        return vertices, faces, None
-    return vertices, faces, np.vstack([np.zeros((1, 2)), texture])[used]
+    normals = _normals(lines)
+    named = np.where((corners[:, 2] > 0) & (corners[:, 2] <= len(normals)), corners[:, 2], 0)
+    return (
+        vertices,
+        faces,
+        _at_corners(texture, corners[:, 1][triangles]),
+        _at_corners(normals, named[triangles]),
+    )
+
+
+def _normals(lines: list[bytes]) -> np.ndarray:
+    """(N, 3), none where a line is no 3 numbers: exporters write what they like for a face of no area."""
+    try:
+        return numbers([line for line in lines if line.startswith(b"vn ")], 3, "normals")
+    except BadInput:
+        return np.empty((0, 3))
+
+
+def _at_corners(values: np.ndarray, used: np.ndarray) -> np.ndarray | None:
+    """(F, 3, width) what corners (F, 3) name, 1 for the first of `values` (N, width); 0 is no name. None if none names one."""
+    return np.vstack([np.zeros((1, values.shape[1])), values])[used] if used.any() else None
 
 
 def numbers(lines: list[bytes], columns: int, what: str) -> np.ndarray:
@@ -67,7 +85,7 @@ def scan(text: bytes, kind: type, what: str) -> np.ndarray:
 
 
 def _corners(polygons: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
-    """Corners per polygon (P,), and per corner its vertex and UV as written, 0 for no UV, int64 (C, 2)."""
+    """Corners per polygon (P,), and per corner its vertex, UV and normal as written, 0 for none, int64 (C, 3)."""
     if any(b"#" in line for line in polygons):
         polygons = [line.partition(b"#")[0] for line in polygons]
     sizes = np.array([len(line.split()) - 1 for line in polygons], np.int64)
@@ -87,16 +105,14 @@ def _corners(polygons: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
     if len(values) != columns * len(corners):
         raise BadInput(f"{message}; export the mesh again.")
     values = values.reshape(-1, columns)
-    pairs = np.zeros((len(values), 2), np.int64)
-    pairs[:, : min(columns, 2)] = values[:, :2]
-    return sizes, pairs
+    return sizes, np.pad(values, [(0, 0), (0, 3 - columns)])
 
 
 def _count_from_start(lines: list[bytes], sizes: np.ndarray, corners: np.ndarray) -> None:
     """Replace, in place, indices that count back from their own line by those that count from the start."""
     kinds = np.array([line[:3] for line in lines])
     here = np.char.startswith(kinds, b"f ")
-    for column, keyword in enumerate((b"v ", b"vt ")):
+    for column, keyword in enumerate((b"v ", b"vt ", b"vn ")):
         seen = np.repeat(np.cumsum(np.char.startswith(kinds, keyword))[here], sizes)
         negative = corners[:, column] < 0
         corners[negative, column] += seen[negative] + 1

@@ -1,4 +1,4 @@
-"""PLY, ASCII and binary of either byte order, with polygons and UVs per vertex or per face."""
+"""PLY, ASCII and binary of either byte order, with polygons, UVs per vertex or per face, and normals per vertex."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ _Column = tuple[np.ndarray, np.ndarray | None]
 
 
 def parse_ply(data: bytes) -> Arrays:
-    """Vertices float64 (V, 3), faces int64 (F, 3), UVs float64 (F, 3, 2) or None.
+    """Vertices float64 (V, 3), faces int64 (F, 3), UVs float64 (F, 3, 2) or None, normals (F, 3, 3) or None.
 
-    UVs come from the faces' `texcoord` list or the vertices' s t, u v, texture_u texture_v.
+    UVs come from the faces' `texcoord` list or the vertices' s t, u v, texture_u texture_v; normals from nx ny nz.
 
     Raises:
         BadInput: a sentence without the file's name. ValueError, KeyError, IndexError, TypeError: the
@@ -67,13 +67,16 @@ def parse_ply(data: bytes) -> Arrays:
     faces = indices.astype(np.int64)[triangles]
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
         raise BadInput("a face names a vertex that is not there; export the mesh again.")
+    normals = None
+    if all(axis in vertex for axis in ("nx", "ny", "nz")):
+        normals = np.stack([vertex[axis][0] for axis in ("nx", "ny", "nz")], axis=1).astype(np.float32)[faces]
     if "texcoord" in face:
-        return vertices, faces, _face_uvs(face["texcoord"], sizes)[triangles]
+        return vertices, faces, _face_uvs(face["texcoord"], sizes)[triangles], normals
     for u, v in _UV_NAMES:
         if u in vertex and v in vertex:
             uvs = np.stack([vertex[u][0], vertex[v][0]], axis=1).astype(np.float64)
-            return vertices, faces, uvs[faces]
-    return vertices, faces, None
+            return vertices, faces, uvs[faces], normals
+    return vertices, faces, None, normals
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], bytes]:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -73,7 +74,7 @@ def unwrap(mesh: Mesh, progress: Callable[[float], None], size: int = 2048) -> M
     if uvs.shape != (len(mesh.faces), 3, 2) or not np.isfinite(uvs).all():
         raise BadInput("the mesh could not be unwrapped (xatlas left faces out); unwrap it in Blender.")
     progress(1.0)
-    return Mesh(mesh.vertices, mesh.faces, uvs)
+    return replace(mesh, uvs=uvs)
 
 
 def _unit_cube(vertices: np.ndarray) -> np.ndarray:

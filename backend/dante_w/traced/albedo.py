@@ -1,7 +1,7 @@
 """The albedo texture from every pixel of the photos, once their lights are known.
 
 Each pixel's colour, less its sheen, is divided by the irradiance at its surface point; the texture is the weighted mean.
-Irradiance is taken with the pixel's own face normal and the visibility of its shading point,
+Irradiance is taken with the pixel's own normal and the visibility of its shading point,
 or of its own where a sun shines. How far pixels are trusted,
 `robust` says: each photo's mean colours over shading points are held against those of the others.
 """
@@ -21,7 +21,7 @@ from dante_w.texture.average import PhotoAverage
 from dante_w.traced import robust
 from dante_w.traced.gloss import sheen
 from dante_w.traced.lights import ABSOLUTE, Lights
-from dante_w.traced.shading_points import Observations, ShadingPoints, face_normals, located, view
+from dante_w.traced.shading_points import Observations, ShadingPoints, facing, located, view
 from dante_w.traced.transfer import Transfer, sunlit
 
 #: Albedo is physically below 1; noise in the dark is not.
@@ -55,7 +55,6 @@ def albedo_texture(
         caster: of the mesh, for the edges of suns' shadows; needed where the transfer has suns.
         glossy: whether the lights were solved with sheen.
     """
-    normals = face_normals(cache.surface.positions.numpy())
     mean = PhotoAverage(size, size)
     photos = len(cache.starts) - 1
     lit = lights.irradiance(transfer)
@@ -67,15 +66,13 @@ def albedo_texture(
         point, light = points.at(uv), lights.light[photo]
         own, row = view(cache, points, photo, point, weights)
         gloss = _sheen(own, points, transfer, lights, cameras, glossy)
-        facing = normals[face]
-        away = ((cameras[photo] - place) * facing).sum(axis=1, keepdims=True) < 0.0
-        facing = np.where(away, -facing, facing)
-        irradiance = irradiance_of(point, place, facing, transfer, lights.radiance[light], caster)
+        normal = facing(cache.surface, face, np.asarray(cache.bary[part]), place, cameras[photo])
+        irradiance = irradiance_of(point, place, normal, transfer, lights.radiance[light], caster)
         irradiance += lights.bounce[point, light]
         srgb = np.asarray(cache.colour[part], np.float32)
         colour = linear_from_srgb_array(srgb)
         gain = np.float32(np.exp(lights.log_exposure[photo]))
-        weight = np.where((facing * points.normal[point]).sum(axis=1) > OTHER_FACE, 1.0, 0.0)
+        weight = np.where((normal * points.normal[point]).sum(axis=1) > OTHER_FACE, 1.0, 0.0)
         if weights.outlier:
             log_albedo, noise = _log_albedo(own, lights, lit, gloss)
             weight = weight * robust.agreement(log_albedo, noise, own.point, most)[row]

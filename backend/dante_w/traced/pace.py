@@ -77,14 +77,15 @@ class TracedPace:
 
 
 def measure_traced(
-    sample: Sample, photos: int, pixels: int, directions: int, texels: int, suns: bool
+    sample: Sample, photos: int, pixels: int, directions: int, texels: int, suns: bool, finer: int = 1
 ) -> tuple[TracedPace, TracedWork]:
     """Do a little of everything and time it, in less than a second once kernels are loaded; and how much there is to do with
-    all the `photos`, their `pixels`, so many `directions` of light and `texels`, `suns` or none."""
+    all the `photos`, their `pixels`, so many `directions` of light and `texels`, `suns` or none, and shading points as much
+    `finer` as `gather` has them."""
     cache = _first(sample.cache, len(sample.cache))
     cameras = np.full((len(cache.starts) - 1, 3), 3.0)  # any place will do
     gather(_first(cache, FEW), cameras)
-    (points, seen), gathering = timed(lambda: gather(cache, cameras))
+    (points, seen), gathering = timed(lambda: gather(cache, cameras, finer=finer))
     transfer, tracing = _trace(points, cache, sample.caster, directions)
     lights = _one_light(points, cameras, transfer)
     irradiance = lights.irradiance(transfer)

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numba import prange
 
 from dante_w.color import linear_from_srgb_array
-from dante_w.jit import njit
-from dante_w.rays.ray_cache import RayCache, on_surface
+from dante_w.jit import njit, njit_parallel
+from dante_w.rays.ray_cache import RayCache, Surface, on_surface
 from dante_w.traced.robust import ALL, CLIPPED, NEAR_EDGE, Weights
 
-#: Cells along either side of the texture, at most: no finer than the pixels of this part of the samples, or photos would
+#: Cells along either side of the texture, at most, for most presets: no finer than the pixels of this part of the samples, or photos would
 #: hardly ever show the same ones.
 SIDE, SHARPEST = 256, 0.75
 #: A photo sees a point's other side from this cosine down; a cell is not quite flat.
@@ -31,7 +32,7 @@ ROWS = 1 << 22
 @dataclass(frozen=True)
 class ShadingPoints:
     """C points. `point_of_cell` (side * side,) int32 is -1 for cells that no photo sees; `position` (C, 3) in the
-    unit cube; `normal` (C, 3), on the side that the photos see. float32."""
+    unit cube; `normal` (C, 3) for shading, on the side that the photos see. float32."""
 
     point_of_cell: np.ndarray
     position: np.ndarray
@@ -94,25 +95,25 @@ def cells(uv: np.ndarray, side: int = SIDE) -> np.ndarray:
     return row * side + column
 
 
-def _side(cache: RayCache) -> int:
-    """Cells along either side of the texture that suit the photos' pixels."""
+def _side(cache: RayCache, most: int) -> int:
+    """Cells along either side of the texture that suit the photos' pixels, at `most`."""
     if cache.footprint is None or len(cache) == 0:
-        return SIDE
+        return most
     wide = float(np.quantile(np.asarray(cache.footprint[:: max(len(cache) >> 17, 1)], np.float32), SHARPEST))
-    return min(max(int(1.0 / wide), 1), SIDE) if wide > 0.0 else SIDE
+    return min(max(int(1.0 / wide), 1), most) if wide > 0.0 else most
 
 
 def gather(
-    cache: RayCache, cameras: np.ndarray, weights: Weights = ALL
+    cache: RayCache, cameras: np.ndarray, weights: Weights = ALL, finer: int = 1
 ) -> tuple[ShadingPoints, Observations]:
     """The shading points of a scene and what its photos see of them; of points that very many photos see, what
     `thinned` leaves.
 
     Args:
         cameras: (K, 3) the photos' centres in the unit cube.
+        finer: so many times `SIDE` cells along either side.
     """
-    normals = face_normals(cache.surface.positions.numpy())
-    side = _side(cache)
+    side = _side(cache, finer * SIDE)
     count = side * side
     nearest = np.full(count, np.inf, np.float32)  # distance of the best point so far from its cell's centre
     position, normal = np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32)
@@ -124,9 +125,8 @@ def gather(
         cell = cells(uv, side)
         here, best = _nearest_to_centres(cell, uv, side, nearest)
         position[here] = place[best]
-        facing = normals[face[best]]
-        towards = np.einsum("ij,ij->i", facing, cameras[photo] - place[best]) >= 0.0
-        normal[here] = np.where(towards[:, None], facing, -facing)
+        bary = np.asarray(cache.bary[part])[best]
+        normal[here] = facing(cache.surface, face[best], bary, place[best], cameras[photo])
         seen_here = averaged(cache, part, cell, count, weights)
         rows.append((seen_here[0], np.full(len(seen_here[0]), photo, np.int32), *seen_here[1:]))
         held += len(seen_here[0])
@@ -147,10 +147,10 @@ def _one_side(
 ) -> tuple[ShadingPoints, Observations]:
     """The points with their normals on the side that most photos see, and what these see: a thin sheet shows its other side
     too, under another light, and so does any mesh to a camera that got inside."""
-    facing = (points.towards(seen.point, cameras[seen.photo]) * points.normal[seen.point]).sum(axis=1)
-    turn = np.where(np.bincount(seen.point, np.sign(facing), len(points)) < 0.0, -1.0, 1.0).astype(np.float32)
+    cosine = (points.towards(seen.point, cameras[seen.photo]) * points.normal[seen.point]).sum(axis=1)
+    turn = np.where(np.bincount(seen.point, np.sign(cosine), len(points)) < 0.0, -1.0, 1.0).astype(np.float32)
     turned = replace(points, normal=points.normal * turn[:, None])
-    return turned, seen.of(facing * turn[seen.point] > OTHER_SIDE)
+    return turned, seen.of(cosine * turn[seen.point] > OTHER_SIDE)
 
 
 def located(cache: RayCache, part: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -160,6 +160,17 @@ def located(cache: RayCache, part: slice) -> tuple[np.ndarray, np.ndarray, np.nd
     corners = cache.surface.uvs.numpy(), cache.surface.positions.numpy()
     on_surface(face, np.asarray(cache.bary[part]), *corners, uv, place)
     return face, uv, place
+
+
+def facing(
+    surface: Surface, face: np.ndarray, bary: np.ndarray, place: np.ndarray, camera: np.ndarray
+) -> np.ndarray:
+    """(N, 3) float32 unit shading normals at surface points `place` (N, 3), given by face (N,) and stored weights (N, 2), on the
+    side of the face that a camera at (3,) sees; zero where a face has no area."""
+    normals = np.empty((0, 3, 3), np.float32) if surface.normals is None else surface.normals.numpy()
+    out = np.empty((len(face), 3), np.float32)
+    _face(surface.positions.numpy(), normals, face, bary, place, np.asarray(camera, np.float32), out)
+    return out
 
 
 def view(
@@ -226,6 +237,34 @@ def _nearest_to_centres(
     return here, best[here]
 
 
+@njit_parallel
+def _face(
+    positions: np.ndarray,
+    normals: np.ndarray,
+    face: np.ndarray,
+    bary: np.ndarray,
+    place: np.ndarray,
+    camera: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    unit = np.float32(1.0 / 65535.0)
+    for i in prange(len(face)):
+        a, b, c = positions[face[i]].astype(np.float64)
+        b, c = b - a, c - a
+        x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+        away = camera - place[i]
+        side = 1.0 if x * away[0] + y * away[1] + z * away[2] >= 0.0 else -1.0
+        if len(normals):
+            own, second, third = normals[face[i]], bary[i, 0] * unit, bary[i, 1] * unit
+            first = np.float32(1.0) - second - third
+            n = first * own[0] + second * own[1] + third * own[2]
+            if n[0] * x + n[1] * y + n[2] * z > 0.0:  # not so where corners' normals cancel out
+                x, y, z = n[0], n[1], n[2]
+        length = math.sqrt(x * x + y * y + z * z)
+        scale = side / length if length > 0.0 else 0.0
+        out[i, 0], out[i, 1], out[i, 2] = scale * x, scale * y, scale * z
+
+
 @njit
 def _add_up(
     cell: np.ndarray,
@@ -281,11 +320,3 @@ def _shuffled(cell: np.ndarray, photo: np.ndarray) -> np.ndarray:
     for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
         x = (x ^ (x >> np.uint32(shift))) * np.uint32(factor)
     return np.asarray(x ^ (x >> np.uint32(16)))
-
-
-def face_normals(corners: np.ndarray) -> np.ndarray:
-    """(F, 3) float32 unit normals of faces (F, 3, 3); zero where a face has no area."""
-    edges = corners[:, 1:] - corners[:, :1]
-    cross = np.cross(edges[:, 0].astype(np.float64), edges[:, 1])
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
-    return np.asarray(cross / np.where(length > 0.0, length, 1.0), np.float32)

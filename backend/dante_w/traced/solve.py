@@ -50,13 +50,20 @@ class Placed:
 
 
 def examine(
-    cache: RayCache, mesh: Mesh, frames: list[Frame], directions: int, prior_weight: float, progress: Progress
+    cache: RayCache,
+    mesh: Mesh,
+    frames: list[Frame],
+    directions: int,
+    prior_weight: float,
+    progress: Progress,
+    finer: int = 1,
 ) -> Traced:
-    """Average the photos over shading points and trace light between them."""
+    """Average the photos over shading points, `finer` times as many along either side of the texture, and trace light between
+    them."""
     frame3d = Frame3D.around(mesh)
     cameras = frame3d.normalise(np.stack([frame.camera_to_world[:3, 3] for frame in frames]))
     progress.update("transfer", 0.0, 1.0)
-    points, seen = gather(cache, cameras)
+    points, seen = gather(cache, cameras, finer=finer)
     transfer = trace_transfer(
         points,
         Raycaster(mesh, frame3d),
