@@ -49,11 +49,20 @@ values = st.sampled_from(
 places = st.lists(st.tuples(st.floats(0, 1, exclude_max=True), numbers), min_size=1, max_size=3)
 FACES = ["list uchar int vertex_indices", "list uchar float texcoord"]
 MESHES = {
-    "obj": (v_lines(SQUARE) + v_lines(CORNERS, "vt") + "f 1/1 2/2 3/3 4/4\nf -1/-1 -2/-2 -3/-3\n").encode(),
+    "obj": (
+        v_lines(SQUARE)
+        + v_lines(CORNERS, "vt")
+        + v_lines(SQUARE, "vn")
+        + "f 1/1/1 2/2/2 3/3/4 4/4/3\nf -1/-1/-1 -2/-2/-2 -3/-3/-3\n"
+    ).encode(),
     "ply": ply(
         "ascii",
         [
-            ("vertex", ["float x", "float y", "float z"], SQUARE),
+            (
+                "vertex",
+                ["float x", "float y", "float z", "float nx", "float ny", "float nz"],
+                [[*xyz, 0, 0, 1] for xyz in SQUARE],
+            ),
             ("face", FACES, [[[0, 1, 2], [0, 0, 1, 0, 1, 1]]]),
         ],
     ),
@@ -79,6 +88,7 @@ def read_or_refused(path: Path, content: bytes) -> None:
         assert "\n" not in str(error)
         return
     assert np.isfinite(mesh.vertices).all() and 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices)
+    assert mesh.normals is None or mesh.normals.shape == (*mesh.faces.shape, 3)
     assert mesh.uvs is None or (mesh.uvs.shape == (*mesh.faces.shape, 2) and np.isfinite(mesh.uvs).all())
 
 

@@ -1,5 +1,6 @@
 """Rays against closed forms on a square."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,17 @@ def test_texture_coordinates_and_positions_are_where_the_pixel_looks(scene, tmp_
         assert (samples.photo == photo).all()
         # looking straight down, a pixel is height / focal length wide, and more where it looks aside
         assert seen[photo][1].min() == pytest.approx(height / fx, rel=0.02)
+
+
+def test_the_surface_has_the_meshs_normals(scene, tmp_path):
+    loaded, mesh = load_scene(scene)
+    tilted = np.tile(np.float32((0.6, 0.0, 0.8)), (len(mesh.faces), 3, 1))
+    up = np.cross(*(mesh.vertices[mesh.faces][0, 1:] - mesh.vertices[mesh.faces][0, 0]))[2]
+    for normals, wanted in ((np.sign(up) * tilted, 0.6), (None, 0.0)):
+        cache = ray_cache.trace(
+            replace(mesh, normals=normals), loaded.frames, lambda *_: None, lambda _: None, tmp_path
+        )
+        np.testing.assert_allclose(np.abs(cache.surface.normals.numpy()[..., 0]), wanted, atol=1e-6)
 
 
 def test_a_sample_takes_at_most_24_bytes(scene, tmp_path):

@@ -37,10 +37,11 @@ NUMBERS = "0 1 -1 2 255 65536 2147483648 -2147483649 4294967295 9223372036854775
 OBJ = b"v 0 0 0\nv 1 0 0\nv 1 1 0 0.5 0.5 0.5\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/1 4/1/1\nf -1/-1 -2/-2 1/1\n"
 PLY = (
     b"ply\nformat %s 1.0\ncomment made\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
-    b"property float s\nproperty float t\nelement face 2\nproperty list uchar int vertex_indices\n"
+    b"property float s\nproperty float t\nproperty float nx\nproperty float ny\nproperty float nz\nelement face 2\nproperty list uchar int vertex_indices\n"
     b"property list uchar float texcoord\nend_header\n"
 )
 CORNERS = [(0, 0, 0, 0, 0), (1, 0, 0, 1, 0), (1, 1, 0, 1, 1), (0, 1, 0, 0, 1)]
+NORMAL = (0, 0, 1)
 MODELS = [
     "SIMPLE_PINHOLE",
     "PINHOLE",
@@ -66,13 +67,13 @@ MODELS = [
 
 
 def ply_ascii() -> bytes:
-    rows = [" ".join(map(str, corner)) for corner in CORNERS]
+    rows = [" ".join(map(str, corner + NORMAL)) for corner in CORNERS]
     return (PLY % b"ascii") + ("\n".join([*rows, "3 0 1 2 6 0 0 1 0 1 1", "3 0 2 3 0"]) + "\n").encode()
 
 
 def ply_binary(order: str = "<") -> bytes:
     name = b"binary_little_endian" if order == "<" else b"binary_big_endian"
-    rows = b"".join(struct.pack(order + "5f", *corner) for corner in CORNERS)
+    rows = b"".join(struct.pack(order + "8f", *corner, *NORMAL) for corner in CORNERS)
     faces = struct.pack(order + "B3iB6f", 3, 0, 1, 2, 6, 0, 0, 1, 0, 1, 1) + struct.pack(
         order + "B3iB", 3, 0, 2, 3, 0
     )
@@ -92,7 +93,7 @@ def glb() -> bytes:
         {"bufferView": i, "componentType": kind, "type": shape, "count": count}
         for i, (kind, shape, count) in enumerate(shapes)
     ]
-    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "mode": 4}
+    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1, "NORMAL": 0}, "indices": 2, "mode": 4}
     document = {
         "asset": {"version": "2.0"},
         "scene": 0,
@@ -252,6 +253,7 @@ def read_mesh_file(ending: str, whole: bytes, ways: list[Callable], folder: Path
     assert np.isfinite(mesh.vertices).all() and (mesh.uvs is None or np.isfinite(mesh.uvs).all()), (
         "not finite"
     )
+    assert mesh.normals is None or mesh.normals.shape == (*mesh.faces.shape, 3), "a corner without a normal"
 
 
 def read_transforms(folder: Path, rng: random.Random) -> None:

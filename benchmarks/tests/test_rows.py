@@ -20,7 +20,8 @@ def test_papers_rows_are_the_papers_model_and_traced_light_is_the_default():
         given = cli._parser().parse_args([row.arguments[0], "scene", "--out", "out", *row.arguments[1:]])
         assert given.irradiance == (None if "traced" in row.name else "field"), row.name
         assert not (given.no_photometric or given.equal_bands) or "traced" not in row.name
-        assert given.preset == ("draft" if row.name.endswith("draft") else "standard")
+        named = row.name.rpartition(", ")[2]
+        assert given.preset == (named if named in ("draft", "high") else "standard")
 
 
 def test_traced_light_has_a_row_with_every_prior():
@@ -28,6 +29,7 @@ def test_traced_light_has_a_row_with_every_prior():
         assert [row.name for row in ROWS if "traced" in row.name and row.prior == prior] == [
             "ours, traced light",
             "ours, traced light, draft",
+            "ours, traced light, high",
         ]
 
 

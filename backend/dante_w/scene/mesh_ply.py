@@ -69,7 +69,9 @@ def parse_ply(data: bytes) -> Arrays:
         raise BadInput("a face names a vertex that is not there; export the mesh again.")
     normals = None
     if all(axis in vertex for axis in ("nx", "ny", "nz")):
-        normals = np.stack([vertex[axis][0] for axis in ("nx", "ny", "nz")], axis=1).astype(np.float32)[faces]
+        with np.errstate(over="ignore"):
+            columns = [vertex[axis][0].astype(np.float32) for axis in ("nx", "ny", "nz")]
+        normals = np.stack(columns, axis=1)[faces]
     if "texcoord" in face:
         return vertices, faces, _face_uvs(face["texcoord"], sizes)[triangles], normals
     for u, v in _UV_NAMES:
