@@ -73,6 +73,14 @@ def light(irradiance: str, chosen: bool) -> Decision:
     return Decision("light", "traced through the mesh", reason, "rays from every shading point")
 
 
+def normals(own: bool) -> Decision:
+    """How the surface is turned, see `rays.normals`."""
+    if own:
+        return Decision("normals", "the mesh's own", "its file has some", "36 bytes a face")
+    reason = "the mesh's file has none, and a scan's facets are no shading"
+    return Decision("normals", "smooth, but for edges", reason, "36 bytes a face")
+
+
 def directions(count: int, preset: str, points: int) -> Decision:
     """From how many directions light comes."""
     costs = (

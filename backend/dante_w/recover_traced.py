@@ -25,7 +25,7 @@ from dante_w.memory import (
 from dante_w.model.held_out import choose_held_out
 from dante_w.model.presets import PRESETS
 from dante_w.pace import Texture, measure, take
-from dante_w.plan import Decision, directions, light, memory, samples, time
+from dante_w.plan import Decision, directions, light, memory, normals, samples, time
 from dante_w.progress import Progress
 from dante_w.rays.ray_cache import RayCache
 from dante_w.scene.mesh import Mesh
@@ -189,6 +189,7 @@ def _plan(
     decisions = [
         begun.texture,
         light("traced", options.irradiance is not None),
+        normals(begun.mesh.normals is not None),
         directions(DIRECTIONS[options.preset], options.preset, len(of.points)),
         samples(len(cache), pixels(begun.scene.frames), cache.prior is not None),
         _memory(options, begun, cache, of, planned.lights),

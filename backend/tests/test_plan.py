@@ -115,6 +115,15 @@ def test_the_users_size_wins(scene, capsys, irradiance):
     assert f"{report['samples']:,} of {8 * 48 * 36:,}" in lines["samples"]["choice"]
 
 
+def test_the_meshs_own_normals_are_taken_where_it_has_some(scene, capsys):
+    assert planned(capsys, str(scene))[1]["normals"]["choice"].startswith("smooth")
+    mesh = scene / "mesh.obj"
+    faces = re.sub(r"(\d+/\d+)\S*", r"\1/1", "\n".join(re.findall("^f .*$", mesh.read_text(), re.M)))
+    rest = re.sub("^f .*\n?", "", mesh.read_text(), flags=re.M)
+    mesh.write_text(f"{rest}vn 0 0 1\n{faces}\n")
+    assert planned(capsys, str(scene))[1]["normals"]["choice"] == "the mesh's own"
+
+
 def test_draft_leaves_suns_out_unless_the_user_wants_them(scene, capsys):
     preset = (str(scene), "--preset", "draft")
     sun = planned(capsys, *preset)[1]["sun"]

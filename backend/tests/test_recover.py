@@ -32,7 +32,7 @@ STAGES = ["scene", "rays", "transfer", "plan", "lights", "albedo", "bake", "writ
 FIELD_STAGES = ["scene", "rays", "optimise", "held-out", "final pass", "bake", "write"]
 FIELD = ("--irradiance", "field")
 PARTS = ["groups", "exposures", "bounce", "gloss", "sun"]
-PLAN = ["texture", "light", "directions", "samples", "memory", "time", *PARTS]
+PLAN = ["texture", "light", "normals", "directions", "samples", "memory", "time", *PARTS]
 FIELD_PLAN = ["texture", "light", "samples", "memory", "albedo", "embedding", "exposures"]
 
 
