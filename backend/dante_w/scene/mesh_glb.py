@@ -183,5 +183,6 @@ def _moved(part: Arrays, matrix: np.ndarray) -> Arrays:
         cofactors = np.cross(turn[[1, 2, 0]], turn[[2, 0, 1]])
         normals = normals @ (-cofactors if mirrored else cofactors).T
     if mirrored:
-        faces, uvs, normals = (None if each is None else each[:, ::-1] for each in (faces, uvs, normals))
+        faces = faces[:, ::-1]
+        uvs, normals = (None if each is None else each[:, ::-1] for each in (uvs, normals))
     return vertices, faces, uvs, normals

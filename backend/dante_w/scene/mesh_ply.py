@@ -70,8 +70,8 @@ def parse_ply(data: bytes) -> Arrays:
     normals = None
     if all(axis in vertex for axis in ("nx", "ny", "nz")):
         with np.errstate(over="ignore"):
-            columns = [vertex[axis][0].astype(np.float32) for axis in ("nx", "ny", "nz")]
-        normals = np.stack(columns, axis=1)[faces]
+            own = [vertex[axis][0].astype(np.float32) for axis in ("nx", "ny", "nz")]
+        normals = np.stack(own, axis=1)[faces]
     if "texcoord" in face:
         return vertices, faces, _face_uvs(face["texcoord"], sizes)[triangles], normals
     for u, v in _UV_NAMES:
