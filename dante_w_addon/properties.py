@@ -17,7 +17,7 @@ from . import hdris
 PRESETS = (
     ("draft", "Draft", "A first look"),
     ("standard", "Standard", "The usual choice"),
-    ("high", "High", "More samples, for a final asset"),
+    ("high", "High", "Light at four times as many points, and larger textures"),
     ("paper", "Paper", "The settings of the DANTE-W paper: needs albedo priors, slow without a GPU"),
 )
 SIZES = [
