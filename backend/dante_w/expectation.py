@@ -28,11 +28,15 @@ class Quality:
     highest: float
 
 
-_TRACED = Quality(30.7, 28.3, 34.2)
-#: Of traced light and of the paper's field, without priors, on four objects: `python3 dev.py bench gigalit DIR`. With traced
-#: light `high` is `standard` where textures are not larger. None: not measured.
+#: Of traced light and of the paper's field, without priors, on four objects: `python3 dev.py bench gigalit DIR`. None: not
+#: measured.
 QUALITY: dict[str, dict[str, Quality | None]] = {
-    "traced": {"draft": Quality(29.4, 26.9, 32.4), "standard": _TRACED, "high": _TRACED, "paper": None},
+    "traced": {
+        "draft": Quality(29.3, 26.9, 32.4),
+        "standard": Quality(30.8, 28.3, 34.2),
+        "high": Quality(30.9, 26.9, 34.6),
+        "paper": None,
+    },
     "field": {
         "draft": Quality(22.9, 20.1, 24.1),
         "standard": Quality(24.3, 20.8, 27.2),
