@@ -22,8 +22,8 @@ MOST = 64
 
 
 def corner_normals(mesh: Mesh, corners: np.ndarray, face_normals: np.ndarray) -> np.ndarray:
-    """(F, 3, 3) float32 unit normals of the faces' corners; those of the mesh where they are on their face's outer side, else
-    made from the faces around; zero at faces of no area.
+    """(F, 3, 3) float32 unit normals of the faces' corners, on the side to which the face's own points: the mesh's where it
+    has one, else made from the faces around, whichever way these are wound; zero at faces of no area.
 
     Args:
         corners: (F, 3, 3) positions. face_normals: (F, 3), zero for faces of no area.
@@ -34,7 +34,9 @@ def corner_normals(mesh: Mesh, corners: np.ndarray, face_normals: np.ndarray) ->
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.linalg.norm(normals, axis=2, keepdims=True)
         normals /= np.where(length > 0.0, length, 1.0)
-        sound = np.einsum("fcx,fx->fc", normals, face_normals) > 0.0  # neither 0 nor NaN
+        cosine = np.einsum("fcx,fx->fc", normals, face_normals)
+        normals *= np.sign(cosine)[:, :, None]
+    sound = np.abs(cosine) > 0.0  # neither 0 nor NaN
     if not sound.all():
         normals[~sound] = _smooth(mesh, corners, face_normals)[~sound]
     return normals
@@ -91,7 +93,9 @@ def _add_up(
             x, y, z = 0.0, 0.0, 0.0
             for j in range(first[v], first[v + 1], step):
                 n, weight = face_normals[order[j] // 3], angles[order[j]]
-                if own[0] * n[0] + own[1] * n[1] + own[2] * n[2] >= crease:
+                cosine = own[0] * n[0] + own[1] * n[1] + own[2] * n[2]
+                if abs(cosine) >= crease:
+                    weight = weight if cosine > 0.0 else -weight  # a face wound the other way
                     x, y, z = x + weight * n[0], y + weight * n[1], z + weight * n[2]
             length = math.sqrt(x * x + y * y + z * z)
             out = normals[corner // 3, corner % 3]
