@@ -75,10 +75,10 @@ def light(irradiance: str, chosen: bool) -> Decision:
 
 def normals(own: bool) -> Decision:
     """How the surface is turned, see `rays.normals`."""
+    choice, reason = "smooth, but for edges", "the mesh's file has none, and a scan's facets are no shading"
     if own:
-        return Decision("normals", "the mesh's own", "its file has some", "36 bytes a face")
-    reason = "the mesh's file has none, and a scan's facets are no shading"
-    return Decision("normals", "smooth, but for edges", reason, "36 bytes a face")
+        choice, reason = "the mesh's own", "its file has some"
+    return Decision("normals", choice, reason, "36 bytes a face")
 
 
 def directions(count: int, preset: str, points: int) -> Decision:

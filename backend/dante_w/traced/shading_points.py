@@ -18,8 +18,8 @@ from dante_w.jit import njit, njit_parallel
 from dante_w.rays.ray_cache import RayCache, Surface, on_surface
 from dante_w.traced.robust import ALL, CLIPPED, NEAR_EDGE, Weights
 
-#: Cells along either side of the texture, at most, for most presets: no finer than the pixels of this part of the samples, or photos would
-#: hardly ever show the same ones.
+#: Cells along either side of the texture, at most, for most presets: no finer than the pixels of this part of the samples,
+#: or photos would hardly ever show the same ones.
 SIDE, SHARPEST = 256, 0.75
 #: A photo sees a point's other side from this cosine down; a cell is not quite flat.
 OTHER_SIDE = -0.2
