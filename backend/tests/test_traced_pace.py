@@ -68,7 +68,7 @@ def test_every_pace_is_measured_and_the_work_counted(tmp_path, photos):
     assert all(math.isfinite(value) and value >= 0.0 for value in values.values()), values
     assert min(value for name, value in values.items() if name != "albedo") > 0.0
     assert (work.photos, work.directions, work.texels) == (photos, 16, 64 * 64)
-    assert (work.first_lights, work.lights) == (min(photos, 10), min(photos, 5))
+    assert (work.first_lights, work.lights) == (min(photos, 10), min(photos, 6))
     assert 0.3 * pixels < work.samples < pixels  # the square fills much of each photo
     assert 500 < work.points < 48 * 36 * photos
     assert work.points <= work.observations <= photos * work.points
