@@ -261,7 +261,7 @@ def measure(jobs: Sequence[Job], options: argparse.Namespace) -> None:
             return
         say(f"{done + 1}/{len(missing)} {words}; {left / 60:.0f} minutes left in all")
         if done == 0:  # compiled code is kept from run to run, and the first must not pay for all
-            quick = {"schedule.steps": 4, DIRECTIONS: 16}
+            quick = {"schedule.steps": 60, DIRECTIONS: 16}  # fewer would be refused as telling nothing
             warm_up = Setting("", "warm-up", quick, irradiance=job.setting.irradiance)
             run(warm_up, job.scene, options.device, options.out)
             start = time.monotonic()
