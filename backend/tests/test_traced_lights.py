@@ -184,6 +184,23 @@ def test_parts_that_are_off_are_not_modelled(world, quick):
     assert not found.bounce.any()
 
 
+def test_where_exposures_are_known_light_has_the_level(world):
+    """Dusk is no long exposure: directions that photos say little of are not to be as bright as noon."""
+    noon, dusk = (
+        solved(
+            world,
+            dataclasses.replace(world.seen, colour=gain * world.seen.colour),
+            fine=False,
+            known_exposure=world.exposure,
+        )
+        for gain in (4.0, 0.25)
+    )
+    for found in (noon, dusk):
+        assert albedo_error(world, found) < 0.05
+        assert np.abs(found.log_exposure - world.exposure).max() < 0.2
+    assert np.log(noon.radiance.mean() / dusk.radiance.mean()) == pytest.approx(np.log(16.0), abs=0.2)
+
+
 def test_files_tell_the_exposures_where_photos_do_not(world, quick):
     """Photos of one light tell their exposures apart, but not a bright light from a long exposure."""
     among = np.array([0.5, -0.2, -0.3])

@@ -23,7 +23,14 @@ from dante_w.model.divergence import Setback
 from dante_w.traced.evenness import laplacian
 from dante_w.traced.gloss import sheen
 from dante_w.traced.groups import regroup
-from dante_w.traced.normal_equations import Equations, ExposurePrior, prior_precision, step
+from dante_w.traced.normal_equations import (
+    LEVEL,
+    OPEN_LEVEL,
+    Equations,
+    ExposurePrior,
+    prior_precision,
+    step,
+)
 from dante_w.traced.shading_points import Observations, ShadingPoints
 from dante_w.traced.transfer import Transfer, bounced, coarser
 from dante_w.traced.watch import Course, look, noted, robust_cost
@@ -108,6 +115,11 @@ class Evidence:
     expected: ExposurePrior
     parts: Parts
 
+    @property
+    def free(self) -> bool:
+        """Whether nothing is known of exposures."""
+        return self.expected.deviation == FREE_EXPOSURE
+
 
 def evidence(
     points: ShadingPoints,
@@ -167,8 +179,9 @@ def solve_lights(
             "No part of the mesh is well exposed and in the light, which traced light needs; "
             "add photos or take --irradiance field."
         )
-    free = of.expected.deviation == FREE_EXPOSURE
-    exposure = _first_exposures(seen, of.weight, len(light)) if free else of.expected.mean.astype(np.float64)
+    exposure = (
+        _first_exposures(seen, of.weight, len(light)) if of.free else of.expected.mean.astype(np.float64)
+    )
     light = light if parts.groups else np.zeros_like(light)
 
     few, part_of = coarser(transfer, COARSE)
@@ -194,15 +207,15 @@ def refine(
 ) -> Lights:
     """Take Gauss-Newton steps, and again those that went astray, then bring albedo up to date."""
     generator = np.random.default_rng(seed)
-    precision = prior_precision(transfer.directions, transfer.suns)
+    precision = prior_precision(transfer.directions, transfer.suns, LEVEL if of.free else OPEN_LEVEL)
     course, sound, done, again = Course(setbacks=lights.setbacks), lights, steps.start, False
     while True:
         irradiance = lights.irradiance(transfer)
         gloss = np.zeros((len(of.seen.point), 3), np.float32)
         if of.parts.gloss and done >= WITHOUT_GLOSS:
             gloss = observed_sheen(of, transfer, lights)
-        lights, told = explain(lights, irradiance, gloss, of)
-        if of.prior.trust.any():  # of which light has the tint that albedo has not
+        before, (lights, told) = lights, explain(lights, irradiance, gloss, of)
+        if lights.radiance is not before.radiance:  # it took up what is not albedo's
             irradiance = lights.irradiance(transfer)
         cost = robust_cost(of.weight, told.share * told.residual / OUTLIER)
         found = lights.radiance, lights.log_exposure, lights.albedo
@@ -264,8 +277,8 @@ class Told:
 
 
 def explain(lights: Lights, irradiance: np.ndarray, gloss: np.ndarray, of: Evidence) -> tuple[Lights, Told]:
-    """The albedo that explains the photos best under given lights; with its level, and with a prior its tint, which
-    exposures and lights lose."""
+    """The albedo that explains the photos best under given lights; with its level, which exposures lose if they are free,
+    else lights, and with a prior its tint, which lights lose."""
     seen, count = of.seen, len(of.points)
     exposure = lights.log_exposure[seen.photo, None].astype(np.float32)
     shown = np.log(np.maximum(seen.colour, FAINTEST)) - exposure
@@ -293,9 +306,13 @@ def explain(lights: Lights, irradiance: np.ndarray, gloss: np.ndarray, of: Evide
     level, tint = _level(log_albedo, lights, of)
     albedo = np.exp(log_albedo + (level + tint))
     albedo[~lights.known] = np.median(albedo[lights.known], axis=0)
-    found = replace(lights, albedo=albedo, log_exposure=lights.log_exposure - level)
-    if tint.any():
-        whiter = np.exp(-tint)
+    found = replace(lights, albedo=albedo)
+    if of.free:
+        found, left = replace(found, log_exposure=lights.log_exposure - level), tint
+    else:  # light has the level, then
+        left = tint + np.float32(level)
+    if left.any():
+        whiter = np.exp(-left)
         found = replace(found, radiance=lights.radiance * whiter, bounce=lights.bounce * whiter)
     return found, Told(over_light + (level + tint), trust, residual, share)
 

@@ -20,8 +20,8 @@ from dante_w.errors import DanteError
 from dante_w.jit import njit_parallel_fast
 
 #: Standard deviation and correlation length (radians) of log light over the sphere, brightness and colour; and of its
-#: mean colour and level.
-BRIGHTNESS, COLOUR, MEAN_COLOUR, LEVEL = (2.0, 0.5), (0.15, 0.8), 0.1, 0.1
+#: mean colour and level. Exposures that are free have the level; where they are known or all one, light has it.
+BRIGHTNESS, COLOUR, MEAN_COLOUR, LEVEL, OPEN_LEVEL = (2.0, 0.5), (0.15, 0.8), 0.1, 0.1, 10.0
 #: What residuals count beside the prior: an observation as one of standard deviation 0.47, since neighbours err alike.
 TRUST = 0.1 / 0.15**2
 #: Standard deviation of the log of albedo's level, which a rule sets: steps allow for its being wrong.
@@ -68,9 +68,11 @@ class ExposurePrior:
     deviation: float
 
 
-def prior_precision(directions: np.ndarray, suns: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse covariances (D, D) of brightness and of colour over the sphere, and of how far suns, the last of the directions,
-    may go in a step."""
+def prior_precision(
+    directions: np.ndarray, suns: int = 0, level: float = LEVEL
+) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse covariances (D, D) of brightness, whose mean has the standard deviation `level`, and of colour over the sphere,
+    and of how far suns, the last of the directions, may go in a step."""
     parts = directions[: len(directions) - suns]
     apart = np.arccos(np.clip(parts @ parts.T, -1.0, 1.0)).astype(np.float64)
 
@@ -79,7 +81,7 @@ def prior_precision(directions: np.ndarray, suns: int = 0) -> tuple[np.ndarray, 
         padded = np.pad(np.linalg.inv(covariance), (0, suns))
         return padded + np.diag(np.r_[np.zeros(len(parts)), np.full(suns, SUN_STEP**-2)])
 
-    return inverse(*BRIGHTNESS, LEVEL), inverse(*COLOUR, MEAN_COLOUR)
+    return inverse(*BRIGHTNESS, level), inverse(*COLOUR, MEAN_COLOUR)
 
 
 def step(
