@@ -50,6 +50,11 @@ def test_what_photos_differ_in_is_modelled(lights, exposures):
     assert not parts.bounce and said["bounce"].reason.startswith("0%")
 
 
+def test_exposures_are_tried_without_gloss_that_is_not_there():
+    parts, _ = planned(make_world(1, 0.0, matte=True))
+    assert not (parts.groups or parts.gloss or parts.exposures)
+
+
 @pytest.mark.parametrize("matte", [False, True])
 def test_under_one_light_held_out_photos_tell_gloss(matte):
     parts, said = planned(make_world(1, 0.35, matte=matte))

@@ -23,11 +23,10 @@ from dante_w.traced.shading_points import Observations, ShadingPoints
 from dante_w.traced.sun import PEAK, SPHERE, peaks
 from dante_w.traced.transfer import Transfer, coarser
 
-#: A part stays off if held-out photos gain no more than this by it, in dB: under one light, exposures that are all alike
-#: still gain half a dB, and are worth 0.04 dB of albedo.
-WORTH = 1.0
-#: And so much for gloss under one light: what it cannot tell moves them by hundredths.
-GLOSS_WORTH = 0.3
+#: A part stays off if held-out photos gain no more than this by it, in dB; tried in this order, each without those that
+#: are off by then. Under one light, exposures that are all alike still gain half a dB, and are worth 0.04 dB of albedo; what
+#: gloss cannot tell moves photos by hundredths there.
+WORTH = {"groups": 1.0, "gloss": 0.3, "exposures": 1.0}
 #: One in this many points takes part in a trial.
 ONE_IN = 4
 #: Share of a point's light that comes from the mesh itself, from which on it is modelled, as a mean over points.
@@ -67,7 +66,10 @@ def choose_parts(
     shown = fewer.of(~np.isin(fewer.photo, held_out))
     bounced = float(transfer.weight.sum() + transfer.lost.sum()) / len(points)
     parts = replace(Parts(bounce=bounced >= BOUNCED), **{name: part.on for name, part in fixed.items()})
-    trials = [name for name in ("groups", "exposures") if name not in fixed and len(held_out)]
+    several = "groups" in fixed and parts.groups  # whose photos cannot tell gloss from the level of albedo
+    trials = [
+        name for name in WORTH if name not in fixed and len(held_out) and not (name == "gloss" and several)
+    ]
 
     counts: dict[Parts, int] = {}
     brightnesses: dict[Parts, float] = {}
@@ -85,15 +87,13 @@ def choose_parts(
         trials = []
     gains: dict[str, float] = {}
     for done, name in enumerate(trials):
-        progress(done + 1, len(trials) + 2)
+        progress(done + 1, len(trials) + 1)
+        if name == "gloss" and parts.groups:
+            continue
         without = score(replace(parts, **{name: False}))
         gains[name] = best - without
-        if gains[name] <= WORTH:
+        if gains[name] <= WORTH[name]:
             parts, best = replace(parts, **{name: False}), without
-    if trials and not parts.groups and "gloss" not in fixed:
-        without = score(replace(parts, gloss=False))
-        gains["gloss"] = best - without
-        parts = replace(parts, gloss=gains["gloss"] > GLOSS_WORTH)
     progress(1, 1)
     lights = counts.get(parts, int(groups.max()) + 1 if parts.groups else 1)
     brightest = brightnesses.get(parts)
