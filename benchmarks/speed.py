@@ -1,8 +1,9 @@
 """Speed of a step of the fit: `python3 dev.py bench speed [--device cpu|cuda] [--preset NAME] [--rounds N] [--json]`.
 
 A whole step of the preset's model (both encodings, decoders, loss without priors, gradients, Adam) by plain torch and by the product's
-own path on that device, numba on the CPU and Triton on CUDA, then the parts of either. All take turns in one run, on one
-batch of a synthetic scene, and medians count: so others' work on the machine slows all alike. On CUDA, the preset `paper` as
+own path on that device, numba on the CPU and Triton on CUDA, then the parts of either. Both paths take turns of 20 steps in one run,
+through the same batches of a synthetic scene, as a fit goes through its own, parts turns of one; medians count: so others' work on
+the machine slows all alike. On CUDA, the preset `paper` as
 it is and with albedo to 8192, GPU memory, and a profile by kernel. Needs no data. Prints Markdown tables.
 """
 
@@ -36,8 +37,11 @@ TORCH, NUMBA, TRITON = "plain torch gather", "numba", "triton"
 STAGES = ("encode 2D", "encode 3D", "decoders", "loss", "backward", "optimiser")
 #: Texture coordinates between neighbouring pixels, as on the shared scenes: four texels of 2048.
 SPACING = 4.0 / 2048.0
-#: Steps that are timed together: on a GPU one does not wait for the one before.
-TOGETHER = {"cpu": 1, "cuda": 10}
+#: Steps that are timed together: after a turn of torch's, its threads spin for some milliseconds, and caches hold what is its own;
+#: on a GPU a step does not wait for the one before.
+TOGETHER = 20
+#: Batches that steps go through.
+BATCHES = 8
 #: Texels a side of the finest albedo level of a scene, in the paper.
 FINE = 8192
 
@@ -55,8 +59,8 @@ def main() -> None:
         content = on_cuda(options)
     else:
         preset = PRESETS[options.preset or "standard"]
-        batch = options.batch or preset.schedule.batch
-        content = compare(preset.model, batch_of(batch), options.rounds, NUMBA, FusedStep)
+        batches = batches_of(options.batch or preset.schedule.batch, "cpu")
+        content = compare(preset.model, batches, options.rounds, NUMBA, FusedStep)
         print(table(f"`{options.preset or 'standard'}`", content))
     if "full_step_ratio" in content:
         print(f"\nA whole step is {content['full_step_ratio']:.1f} times as fast. {sentence(facts)}")
@@ -83,11 +87,11 @@ def on_cuda(options: argparse.Namespace) -> dict[str, Any]:
     """Times, GPU memory and profile of a preset's model, and of the same with albedo to `FINE`."""
     name = options.preset or "paper"
     preset = PRESETS[name]
-    samples = batch_of(options.batch or preset.schedule.batch, "cuda")
-    found = {}
+    batches = batches_of(options.batch or preset.schedule.batch, "cuda")
+    samples, found = batches[0], {}
     for finest in (preset.model.albedo.finest, FINE):
         spec = replace(preset.model, albedo=replace(preset.model.albedo, finest=finest))
-        content = compare(spec, samples, options.rounds, TRITON, TritonStep)
+        content = compare(spec, batches, options.rounds, TRITON, TritonStep)
         content["peak_gpu_bytes"] = {
             path: peak_bytes(way, spec, PHOTOS, samples, TERMS)
             for path, way in ((TORCH, TorchStep), (TRITON, TritonStep))
@@ -101,17 +105,16 @@ def on_cuda(options: argparse.Namespace) -> dict[str, Any]:
     return {"preset": name, "full_step_ratio": first["full_step_ratio"], "finest": found}
 
 
-def compare(spec: ModelSpec, samples: Samples, rounds: int, own: str, way: Way) -> dict[str, Any]:
+def compare(spec: ModelSpec, batches: list[Samples], rounds: int, own: str, way: Way) -> dict[str, Any]:
     """Seconds and samples per second of whole steps and their parts, by plain torch and by the path called `own`."""
+    samples = batches[0]
     device, batch = samples.uv.device.type, len(samples.uv)
     torch.manual_seed(0)
     model = Model(spec, PHOTOS).to(device)
-    steps = measure(whole_steps(model, samples, {TORCH: TorchStep, own: way}), rounds, device)
-    steps = {path: seconds / TOGETHER[device] for path, seconds in steps.items()}
+    steps = measure(whole_steps(model, batches, {TORCH: TorchStep, own: way}), rounds, device)
+    steps = {path: seconds / TOGETHER for path, seconds in steps.items()}
     plain = torch_stages(model, samples)
-    parts = (
-        numba_stages(model, samples, TERMS) if own == NUMBA else triton_stages(model, samples, TERMS, plain)
-    )
+    parts = numba_stages(model, samples) if own == NUMBA else triton_stages(model, samples, TERMS, plain)
     stages = {path: measure(each, rounds, device) for path, each in ((TORCH, plain), (own, parts))}
     return {
         "batch": batch,
@@ -125,9 +128,14 @@ def compare(spec: ModelSpec, samples: Samples, rounds: int, own: str, way: Way) 
     }
 
 
-def batch_of(count: int, device: str = "cpu") -> Samples:
+def batches_of(count: int, device: str) -> list[Samples]:
+    """`BATCHES` batches of `count` samples."""
+    return [batch_of(count, device, seed) for seed in range(BATCHES)]
+
+
+def batch_of(count: int, device: str = "cpu", seed: int = 0) -> Samples:
     """Random samples as the fit draws them, in runs of neighbours in a photo's row."""
-    random = torch.Generator().manual_seed(0)
+    random = torch.Generator().manual_seed(seed)
     runs = -(-count // RUN)
     along = torch.arange(RUN)[:, None] * torch.tensor([SPACING, 0.0, 0.0])
     position = (torch.rand(runs, 1, 3, generator=random) + along).clamp(0.0, 1.0).reshape(-1, 3)[:count]
@@ -138,12 +146,12 @@ def batch_of(count: int, device: str = "cpu") -> Samples:
     return Samples(*(field.to(device) for field in fields), None, weight.to(device))
 
 
-def whole_steps(model: Model, samples: Samples, ways: dict[str, Way]) -> dict[str, Stage]:
+def whole_steps(model: Model, batches: list[Samples], ways: dict[str, Way]) -> dict[str, Stage]:
     """`TOGETHER` whole steps by each of `ways`."""
 
     def steps(way: Step) -> None:
-        for _ in range(TOGETHER[samples.uv.device.type]):
-            way.gradients(samples)
+        for turn in range(TOGETHER):
+            way.gradients(batches[turn % len(batches)])
             way.update(1.0)
 
     parameters = list(model.parameters())

@@ -9,12 +9,11 @@ import numba
 import numpy as np
 from dante_w.model import fused
 from dante_w.model.fields import Model
-from dante_w.model.fused import FusedStep
 from dante_w.model.kernels import BLOCK
+from dante_w.model.kernels.adam import adam
 from dante_w.model.kernels.decoder import OUTPUTS, Decoder, decode, decode_backward
 from dante_w.model.kernels.grid import encode, load, scatter
 from dante_w.model.kernels.loss import Shown, Weights, loss_backward
-from dante_w.model.optimise import LossTerms
 from dante_w.rays.ray_cache import Samples
 from measure.stages import Stage
 
@@ -22,8 +21,8 @@ from measure.stages import Stage
 njit_fast = numba.njit(nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"})
 
 
-def numba_stages(model: Model, samples: Samples, terms: LossTerms) -> dict[str, Stage]:
-    """Within a step they pass blocks on in the cache, so they add up to more."""
+def numba_stages(model: Model, samples: Samples) -> dict[str, Stage]:
+    """Within a step they pass blocks and levels on in the cache, so they add up to more."""
     fields, count = (model.albedo, model.irradiance), len(samples.uv)
     grids, decoders = (
         [of(part) for part in parts]
@@ -36,19 +35,35 @@ def numba_stages(model: Model, samples: Samples, terms: LossTerms) -> dict[str, 
     pieces = fused.pieces_of(count, fused.PIECE)
     rows = np.random.default_rng(0).normal(0.0, 1e-6, (-(-count // BLOCK), 64, BLOCK)).astype(np.float32)
     gradients = [np.zeros_like(grid.tables) for grid in grids]
-    step = FusedStep(model, terms, list(model.parameters()), 1e-3)
+    moments = [(np.zeros_like(grid.tables), np.zeros_like(grid.tables)) for grid in grids]
     weights = Weights(*map(np.float32, (1e-5, 1e-6, 1e-6, 0.0, fused.DARKNESS)))
 
     def each(kernel: Callable[..., None], *arguments: object) -> None:
         fused.run(partial(kernel, *arguments, first, end) for first, end in pieces)
 
-    def backward() -> None:
-        for decoder in decoders:
-            each(_backward, decoder)
+    def scatters() -> None:
         fused.run(
             partial(scatter, xyz, resolution, grid.shift, rows, 0, gradient[start:end])
             for grid, xyz, gradient in zip(grids, points, gradients, strict=True)
             for resolution, start, end in zip(grid.resolutions, grid.offsets, grid.offsets[1:], strict=False)
+        )
+
+    def backward() -> None:
+        for decoder in decoders:
+            each(_backward, decoder)
+        scatters()
+
+    def optimiser() -> None:
+        arrays = (
+            (grid.tables, *own, gradient)
+            for grid, own, gradient in zip(grids, moments, gradients, strict=True)
+        )
+        fused.run(
+            partial(
+                adam, *(array[start:end].reshape(-1) for array in own), *(np.float32(1e-3), np.float32(1.0))
+            )
+            for grid, own in zip(grids, arrays, strict=True)
+            for start, end in zip(grid.offsets, grid.offsets[1:], strict=False)
         )
 
     return {
@@ -57,7 +72,7 @@ def numba_stages(model: Model, samples: Samples, terms: LossTerms) -> dict[str, 
         "decoders": Stage(lambda: [each(_decode, decoder) for decoder in decoders]),
         "loss": Stage(partial(each, _loss, weights)),
         "backward": Stage(backward),
-        "optimiser": Stage(partial(step.update, 1.0), before=partial(step.gradients, samples)),
+        "optimiser": Stage(optimiser, before=scatters),
     }
 
 

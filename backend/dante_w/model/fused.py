@@ -1,25 +1,28 @@
 """The model on the CPU, all in numba: values for the bake, and whole steps of the fit.
 
 A batch is cut into pieces that threads take in turn. Each piece writes its samples' gradients; then each level of a grid
-is one thread's, which adds up what the samples say in their order. Pieces do not depend on how many threads there are,
-so neither does a single bit of the result.
+is one thread's, which adds up what the samples say in their order, and takes Adam's step. Pieces and levels do not depend on how
+many threads there are, so neither does a single bit of the result.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import lru_cache, partial
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
 import torch
 
+from dante_w.model.gradients import Gradients
 from dante_w.model.kernels import BLOCK
-from dante_w.model.kernels.adam import BETA_1, BETA_2, LINE, adam
+from dante_w.model.kernels.adam import BETA_1, BETA_2, adam
 from dante_w.model.kernels.batch import Batch, Photos, evaluate, gradients, scatter_photos
 from dante_w.model.kernels.decoder import OUTPUTS, Decoder
 from dante_w.model.kernels.grid import Grid, scatter
@@ -29,11 +32,11 @@ from dante_w.model.pyramid import LevelSum
 if TYPE_CHECKING:
     from dante_w.model.fields import Model
     from dante_w.model.hash_encoding import HashGrid
-    from dante_w.model.optimise import LossTerms
+    from dante_w.model.optimise import LossTerms, Share
     from dante_w.rays.ray_cache import Samples
 
-#: Samples in a piece of a batch, and numbers in a piece of a table.
-PIECE, TABLE_PIECE = 8 * BLOCK, 1 << 18
+#: Samples in a piece of a batch.
+PIECE = 16 * BLOCK
 #: Irradiance this low counts as black, which has no tint.
 DARKNESS = 1e-3
 #: |w_k| counts as at most this: e^20 is 29 stops.
@@ -67,16 +70,16 @@ class FusedStep:
     ) -> None:
         self._model, self._terms, self._learning_rate, self.updates = model, terms, learning_rate, 0
         chosen = {id(parameter) for parameter in parameters}
-        self._state = {
-            name: _Moments(_array(parameter))
+        self._states = {
+            name: _State(_array(parameter), _cuts(model, name))
             for name, parameter in model.named_parameters()
             if id(parameter) in chosen
         }
+        self._buffers = _Buffers(max((state.longest for state in self._states.values()), default=0))
         self._rows = np.empty((0, 0, 0), np.float32)
 
-    def gradients(self, samples: Samples) -> tuple[float, dict[str, np.ndarray]]:
-        """The batch's loss, and its gradients by the parameters' names; they are valid until `update`, and asked for
-        once before it."""
+    def gradients(self, samples: Samples) -> tuple[float, Gradients[np.ndarray]]:
+        """See `Step`; a table's gradient is made when it is asked for."""
         model, batch = self._model, _batch(samples)
         count = len(batch.uv)
         albedo, light = model.albedo, model.irradiance
@@ -93,46 +96,39 @@ class FusedStep:
             partial(gradients, batch, *piece, *arguments, weights, self._rows, *(_at(own, i) for own in sums))
             for i, piece in enumerate(pieces)
         )
+        told: dict[str, Callable[[int, np.ndarray], None]] = {}
         for name, own in zip(("albedo", "irradiance"), sums, strict=True):
             for part, stack in zip(_DECODER_PARTS, own, strict=True):
-                if f"{name}.decoder.{part}" in self._state:
-                    gradient = self._state[f"{name}.decoder.{part}"].gradient
-                    gradient[:] = stack.sum(0)[: len(gradient)]
-        run(self._scatters(batch, first_rows))
-        return math.fsum(losses), {name: state.gradient for name, state in self._state.items()}
+                told[f"{name}.decoder.{part}"] = partial(_add_sum, stack)
+        told[_ALBEDO] = partial(_add_level, grid_of(albedo.grid), batch.uv, self._rows, first_rows["albedo"])
+        if self._terms.photometric:
+            row = first_rows["irradiance"]
+            told[_LIGHT] = partial(_add_level, grid_of(light.grid), batch.position, self._rows, row)
+            for name in _PHOTO_ROWS:
+                told[name] = partial(_add_photos, batch.photo, self._rows, first_rows[name])
+        for name, state in self._states.items():
+            state.told = told.get(name)
+        return math.fsum(losses), Gradients({name: state.gradient for name, state in self._states.items()})
 
-    def update(self, rate: float, share: Callable[[torch.Tensor], None] = lambda _: None) -> None:
-        """Take an Adam step along the gradients, with the learning rate times `rate`; see `Step`."""
-        for state in self._state.values():
-            share(torch.from_numpy(state.gradient))
+    def update(self, rate: float, share: Share | None = None) -> None:
+        """See `Step`."""
         self.updates += 1
         step = np.float32(self._learning_rate * rate / (1.0 - float(BETA_1) ** self.updates))
         root = np.float32(1.0 / math.sqrt(1.0 - float(BETA_2) ** self.updates))
-        run(partial(adam, *piece, step, root) for state in self._state.values() for piece in state.pieces)
+        parts = [(state, part) for state in self._states.values() for part in range(len(state.parts))]
+        parts.sort(key=lambda own: own[0].length(own[1]), reverse=True)  # threads take the slowest first
+        tasks = [partial(state.update, part, self._buffers, step, root, share) for state, part in parts]
+        if share:  # all processes in the same order
+            for task in tasks:
+                task()
+        else:
+            run(tasks)
+        for state in self._states.values():
+            state.told = None
 
     def moments(self) -> list[np.ndarray]:
         """What Adam remembers, besides the number of `updates`: the arrays themselves."""
-        return [moment for state in self._state.values() for moment in state.moments]
-
-    def _scatters(self, batch: Batch, first_rows: dict[str, int]) -> Iterable[Callable[[], None]]:
-        """Tasks that add up what the samples say, each for numbers of its own; the slowest first."""
-        light = self._terms.photometric
-        for name, points in (("irradiance", batch.position), ("albedo", batch.uv)):
-            state = self._state.get(f"{name}.grid.tables")
-            if state is None or (name == "irradiance" and not light):
-                continue
-            grid = grid_of(getattr(self._model, name).grid)
-            features = grid.tables.shape[1]
-            for level in reversed(range(len(grid.resolutions))):
-                row = first_rows[name] + level * features
-                entries = slice(grid.offsets[level], grid.offsets[level + 1])
-                settings = grid.resolutions[level], grid.shift
-                yield partial(scatter, points, *settings, self._rows, row, state.gradient[entries])
-        for name in _PHOTO_ROWS:
-            if name in self._state and light:
-                yield partial(
-                    scatter_photos, batch.photo, self._rows, first_rows[name], self._state[name].gradient
-                )
+        return [moment for state in self._states.values() for moment in state.moments]
 
     def _photos(self) -> Photos:
         model = self._model
@@ -147,23 +143,85 @@ class FusedStep:
         return Weights(*(np.float32(value) for value in values))
 
 
-class _Moments:
-    """A parameter's `value`, the gradient added up so far, and what Adam remembers; `pieces` are the arguments of `adam`
-    for all of it."""
+class _Buffers:
+    """Room for a gradient of up to `longest` numbers, for each thread that is at one: 0 before and after."""
 
-    def __init__(self, value: np.ndarray) -> None:
-        self.gradient, mean, square = (np.zeros_like(value) for _ in range(3))
-        self.moments = [mean, square]
-        flat = [array.reshape(-1) for array in (value, mean, square, self.gradient)]
-        whole = value.size - value.size % LINE
-        cuts = [*pieces_of(whole, TABLE_PIECE), (whole, value.size)]
-        self.pieces = [
-            [array[first:end].reshape(-1, LINE if end <= whole else end - first) for array in flat]
-            for first, end in cuts
-            if end > first
-        ]
+    def __init__(self, longest: int) -> None:
+        self._longest, self._free = longest, SimpleQueue[np.ndarray]()
+
+    @contextmanager
+    def taken(self) -> Iterator[np.ndarray]:
+        try:
+            buffer = self._free.get_nowait()
+        except Empty:
+            buffer = np.zeros(self._longest, np.float32)
+        yield buffer
+        self._free.put(buffer)
 
 
+class _State:
+    """A parameter while it is fitted, in `parts` from row to row, which are the levels of a table: its value, what Adam
+    remembers, and between `gradients` and `update` what the batch has `told`, which adds a part's gradient to an array.
+
+    So a gradient is made and used up part by part, while it is in the processor's cache.
+    """
+
+    def __init__(self, value: np.ndarray, cuts: Sequence[int]) -> None:
+        self._value = value
+        self.moments = [np.zeros_like(value) for _ in range(2)]
+        self.parts = [slice(first, end) for first, end in itertools.pairwise(cuts)]
+        self.longest = max(self.length(part) for part in range(len(self.parts)))
+        self.told: Callable[[int, np.ndarray], None] | None = None
+
+    def length(self, part: int) -> int:
+        """Numbers in a part."""
+        return self._value[self.parts[part]].size
+
+    def gradient(self) -> np.ndarray:
+        whole = np.zeros_like(self._value)
+        for part, own in enumerate(self.parts):
+            if self.told:
+                self.told(part, whole[own])
+        return whole
+
+    def update(
+        self, part: int, buffers: _Buffers, step: np.float32, root: np.float32, share: Share | None
+    ) -> None:
+        values = [array[self.parts[part]] for array in (self._value, *self.moments)]
+        with buffers.taken() as buffer:
+            gradient = buffer[: values[0].size].reshape(values[0].shape)
+            if self.told:
+                self.told(part, gradient)
+            if share:
+                share(torch.from_numpy(gradient))
+            adam(*(array.reshape(-1) for array in (*values, gradient)), step, root)
+
+
+def _cuts(model: Model, name: str) -> list[int]:
+    """The rows between which a parameter's parts are."""
+    if name in (_ALBEDO, _LIGHT):
+        return grid_of(getattr(model, name.split(".")[0]).grid).offsets.tolist()
+    return [0, len(model.get_parameter(name))]
+
+
+def _add_level(
+    grid: Grid, points: np.ndarray, rows: np.ndarray, first_row: int, level: int, gradient: np.ndarray
+) -> None:
+    """What rows, from the first of the grid on, say of the entries of one level."""
+    row = first_row + level * gradient.shape[1]
+    scatter(points, grid.resolutions[level], grid.shift, rows, row, gradient)
+
+
+def _add_photos(photo: np.ndarray, rows: np.ndarray, first_row: int, _: int, gradient: np.ndarray) -> None:
+    scatter_photos(photo, rows, first_row, gradient)
+
+
+def _add_sum(stack: np.ndarray, _: int, gradient: np.ndarray) -> None:
+    """What the pieces of a batch say, without the rows that a parameter lacks."""
+    gradient += stack.sum(0)[: len(gradient)]
+
+
+_ALBEDO, _LIGHT = "albedo.grid.tables", "irradiance.grid.tables"
 _DECODER_PARTS = ("0.weight", "0.bias", "2.weight", "2.bias")
 _PHOTO_ROWS = ("embedding", "log_exposure", "offset")
 _ROWS = ("albedo", "irradiance", *_PHOTO_ROWS)

@@ -88,10 +88,6 @@ def model_loss(model: Model, samples: Samples, terms: LossTerms) -> torch.Tensor
 Share = Callable[[torch.Tensor], None]
 
 
-def alone(_: torch.Tensor) -> None:
-    """A `Share` of one process."""
-
-
 class Step(Protocol):
     """One way to compute a step of the fit.
 
@@ -104,8 +100,8 @@ class Step(Protocol):
         """Loss of a batch, and its gradients by parameter name; valid until `update`, which has to follow."""
         ...
 
-    def update(self, rate: float, share: Share = alone) -> None:
-        """Change the parameters by Adam, with the learning rate times `rate`, once `share` has seen every gradient."""
+    def update(self, rate: float, share: Share | None = None) -> None:
+        """Change the parameters by Adam, with the learning rate times `rate`, once `share`, if there is one, has seen every gradient."""
         ...
 
 
@@ -131,10 +127,10 @@ class TorchStep:
             parameter.grad = gradient
         return loss.detach(), {name: p.grad for name, p in self._chosen.items() if p.grad is not None}
 
-    def update(self, rate: float, share: Share = alone) -> None:
+    def update(self, rate: float, share: Share | None = None) -> None:
         """See `Step`."""
         for parameter in self._chosen.values():
-            if parameter.grad is not None:
+            if share and parameter.grad is not None:
                 share(parameter.grad)
         for group in self._optimiser.param_groups:
             group["lr"] = self._learning_rate * rate
@@ -183,7 +179,7 @@ def fit(
     way = step_for(model, terms, chosen, schedule.learning_rate)
     watch = Watch(chosen, schedule.steps)
     batch: int = schedule.batch
-    share: Share = alone
+    share: Share | None = None
     if shared and distributed.world() > 1:
         batch, share, kept = max(batch // distributed.world(), RUN), distributed.mean, None
         ranges, seed = distributed.own(ranges), seed + distributed.SEEDS * distributed.rank()
@@ -207,10 +203,11 @@ def fit(
     return Course(watch.first, watch.last, watch.setbacks)
 
 
-def _mean(losses: Sequence[float | torch.Tensor], share: Share) -> float:
+def _mean(losses: Sequence[float | torch.Tensor], share: Share | None) -> float:
     """Of the losses of several batches, over all processes."""
     mean = torch.tensor([float(sum(losses)) / len(losses)], dtype=torch.float64)
-    share(mean)
+    if share:
+        share(mean)
     return float(mean)
 
 

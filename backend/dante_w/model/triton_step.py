@@ -8,17 +8,19 @@ So a number of a table takes 8 bytes, its share of the buffer aside.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import torch
 
 from dante_w.model import triton_grid
+from dante_w.model.gradients import Gradients
 from dante_w.model.hash_encoding import HashGrid
 
 if TYPE_CHECKING:
     from dante_w.model.fields import Model
-    from dante_w.model.optimise import LossTerms
+    from dante_w.model.optimise import LossTerms, Share
     from dante_w.rays.ray_cache import Samples
 
 BETA_1, BETA_2 = 0.9, 0.999
@@ -60,9 +62,15 @@ class TritonStep:
             table.encoded = None
         for parameter, gradient in zip(others, found, strict=True):
             parameter.grad = gradient
-        return loss.detach(), _Gradients(self._tables, self._others)
+        made: dict[str, Callable[[], torch.Tensor]] = {
+            name: table.gradient for name, table in self._tables.items() if table.upstream is not None
+        }
+        others_made = {
+            name: partial(_own_gradient, p) for name, p in self._others.items() if p.grad is not None
+        }
+        return loss.detach(), Gradients(made | others_made)
 
-    def update(self, rate: float, share: Callable[[torch.Tensor], None] = lambda _: None) -> None:
+    def update(self, rate: float, share: Share | None = None) -> None:
         """See `Step`."""
         self._steps += 1
         step = self._learning_rate * rate
@@ -72,7 +80,7 @@ class TritonStep:
                 step / corrections[0], 1.0 / math.sqrt(corrections[1]), self._steps, self._buffer, share
             )
         for parameter in self._others.values():
-            if parameter.grad is not None:
+            if share and parameter.grad is not None:
                 share(parameter.grad)
         for group in self._optimiser.param_groups:
             group["lr"] = step
@@ -108,7 +116,7 @@ class _Table:
         root: float,
         step: int,
         buffer: torch.Tensor,
-        share: Callable[[torch.Tensor], None],
+        share: Share | None,
     ) -> None:
         """Adam's step, group by group; `buffer` is 0 before and after."""
         if self.points is None or self.upstream is None:
@@ -118,7 +126,8 @@ class _Table:
             first, count = group.start * self.spec.features, group.entries * self.spec.features
             gradient, own = buffer[:count], slice(first, first + count)
             triton_grid.scatter(self.points, upstream, self.spec, group, gradient)
-            share(gradient)
+            if share:
+                share(gradient)
             triton_grid.adam(self.value[own], self._mean[own], self._square[own], gradient, rate, root, step)
         self.points = self.upstream = None
 
@@ -152,22 +161,6 @@ class _Encoded:
         return triton_grid.encode(points, grid.tables, grid.spec)
 
 
-class _Gradients(Mapping[str, torch.Tensor]):
-    """Gradients by parameter name; those of tables are added up when asked for."""
-
-    def __init__(self, tables: Mapping[str, _Table], others: Mapping[str, torch.nn.Parameter]) -> None:
-        self._tables = {name: table for name, table in tables.items() if table.upstream is not None}
-        self._others = {name: p for name, p in others.items() if p.grad is not None}
-
-    def __getitem__(self, name: str) -> torch.Tensor:
-        if name in self._tables:
-            return self._tables[name].gradient()
-        gradient = self._others[name].grad
-        assert gradient is not None
-        return gradient
-
-    def __iter__(self) -> Iterator[str]:
-        yield from (*self._tables, *self._others)
-
-    def __len__(self) -> int:
-        return len(self._tables) + len(self._others)
+def _own_gradient(parameter: torch.nn.Parameter) -> torch.Tensor:
+    assert parameter.grad is not None
+    return parameter.grad

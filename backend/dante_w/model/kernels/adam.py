@@ -22,20 +22,28 @@ def adam(value, mean, square, gradient, rate, root):  # type: ignore[no-untyped-
     are those of the steps that did, while `rate` and `root` count all steps.
 
     Args:
-        value, mean, square, gradient: (lines, W) float32: parameters, both moments, and the gradient.
+        value, mean, square, gradient: (N,) float32: parameters, both moments, and the gradient.
         rate, root: float32; the learning rate over 1 - beta_1^t, and 1 over sqrt(1 - beta_2^t), at step t.
     """
     bits = gradient.view(np.int32)
-    for line in range(len(value)):
+    whole = len(value) - len(value) % LINE
+    for first in range(0, whole, LINE):
         any_touched = np.int32(0)
-        for i in range(value.shape[1]):
-            any_touched |= bits[line, i]
+        for i in range(LINE):
+            any_touched |= bits[first + i]
         if any_touched != 0:
-            for i in range(value.shape[1]):
-                g, m, v = gradient[line, i], mean[line, i], square[line, i]
-                touched = g != _ZERO
-                m = BETA_1 * m + (_ONE - BETA_1) * g if touched else m
-                v = BETA_2 * v + (_ONE - BETA_2) * g * g if touched else v
-                step = rate * m / (math.sqrt(v) * root + EPSILON)
-                value[line, i] -= step if touched else _ZERO
-                mean[line, i], square[line, i], gradient[line, i] = m, v, _ZERO
+            for i in range(first, first + LINE):
+                _move(value, mean, square, gradient, rate, root, i)
+    for i in range(whole, len(value)):
+        _move(value, mean, square, gradient, rate, root, i)
+
+
+@njit_fast
+def _move(value, mean, square, gradient, rate, root, i):  # type: ignore[no-untyped-def]
+    g, m, v = gradient[i], mean[i], square[i]
+    touched = g != _ZERO
+    m = BETA_1 * m + (_ONE - BETA_1) * g if touched else m
+    v = BETA_2 * v + (_ONE - BETA_2) * g * g if touched else v
+    step = rate * m / (math.sqrt(v) * root + EPSILON)
+    value[i] -= step if touched else _ZERO
+    mean[i], square[i], gradient[i] = m, v, _ZERO

@@ -120,14 +120,43 @@ def encode(grid, points, entry, weight, encoded):  # type: ignore[no-untyped-def
     for level in range(len(grid.resolutions)):
         start, end = grid.offsets[level], grid.offsets[level + 1]
         corners(points, grid.resolutions[level], grid.shift, end - start, entry, weight)
-        table = grid.tables[start:end]
-        for f in range(features):
-            row = encoded[level * features + f]
-            for s in range(BLOCK):
-                row[s] = weight[0, s] * table[entry[0, s], f]
-            for c in range(1, 1 << len(points)):
-                for s in range(BLOCK):
-                    row[s] += weight[c, s] * table[entry[c, s], f]
+        table, rows = grid.tables[start:end], encoded[level * features : (level + 1) * features]
+        if features == 2:  # known lengths are loops unrolled
+            if len(points) == 2:
+                _sum_4(table, entry, weight, rows[0], rows[1])
+            else:
+                _sum_8(table, entry, weight, rows[0], rows[1])
+        else:
+            rows[:] = np.float32(0.0)
+            for f in range(features):
+                for c in range(1 << len(points)):
+                    for s in range(BLOCK):
+                        rows[f, s] += weight[c, s] * table[entry[c, s], f]
+
+
+@njit_fast
+def _sum_4(table, entry, weight, row_0, row_1):  # type: ignore[no-untyped-def]
+    """What four corners add up to, for two features: (BLOCK,) each, to write."""
+    for s in range(BLOCK):
+        e0, e1, e2, e3 = entry[0, s], entry[1, s], entry[2, s], entry[3, s]
+        w0, w1, w2, w3 = weight[0, s], weight[1, s], weight[2, s], weight[3, s]
+        row_0[s] = w0 * table[e0, 0] + w1 * table[e1, 0] + w2 * table[e2, 0] + w3 * table[e3, 0]
+        row_1[s] = w0 * table[e0, 1] + w1 * table[e1, 1] + w2 * table[e2, 1] + w3 * table[e3, 1]
+
+
+@njit_fast
+def _sum_8(table, entry, weight, row_0, row_1):  # type: ignore[no-untyped-def]
+    """The same for eight corners."""
+    for s in range(BLOCK):
+        e0, e1, e2, e3 = entry[0, s], entry[1, s], entry[2, s], entry[3, s]
+        e4, e5, e6, e7 = entry[4, s], entry[5, s], entry[6, s], entry[7, s]
+        w0, w1, w2, w3 = weight[0, s], weight[1, s], weight[2, s], weight[3, s]
+        w4, w5, w6, w7 = weight[4, s], weight[5, s], weight[6, s], weight[7, s]
+        near_0 = w0 * table[e0, 0] + w1 * table[e1, 0] + w2 * table[e2, 0] + w3 * table[e3, 0]
+        near_1 = w0 * table[e0, 1] + w1 * table[e1, 1] + w2 * table[e2, 1] + w3 * table[e3, 1]
+        far_0 = w4 * table[e4, 0] + w5 * table[e5, 0] + w6 * table[e6, 0] + w7 * table[e7, 0]
+        far_1 = w4 * table[e4, 1] + w5 * table[e5, 1] + w6 * table[e6, 1] + w7 * table[e7, 1]
+        row_0[s], row_1[s] = near_0 + far_0, near_1 + far_1
 
 
 @njit_fast
@@ -148,10 +177,11 @@ def scatter(points, resolution, shift, rows, first_row, gradient):  # type: igno
         own = rows[first // BLOCK, first_row : first_row + features]
         if features == 2:  # known lengths are loops unrolled
             for s in range(count):
+                upstream_0, upstream_1 = own[0, s], own[1, s]
                 for c in range(1 << dimensions):
                     e, w = entry[c, s], weight[c, s]
-                    gradient[e, 0] += w * own[0, s]
-                    gradient[e, 1] += w * own[1, s]
+                    sum_0, sum_1 = gradient[e, 0] + w * upstream_0, gradient[e, 1] + w * upstream_1
+                    gradient[e, 0], gradient[e, 1] = sum_0, sum_1
         else:
             for s in range(count):
                 for c in range(1 << dimensions):
