@@ -8,7 +8,8 @@ import numpy as np
 
 from dante_w.color import srgb_from_linear_array
 from dante_w.traced.gloss import sheen
-from dante_w.traced.lights import FAINTEST, OUTLIER, Lights, Parts
+from dante_w.traced.lights import Lights, Parts
+from dante_w.traced.projection import FAINTEST, OUTLIER
 from dante_w.traced.shading_points import Observations, ShadingPoints
 from dante_w.traced.transfer import Transfer
 

@@ -31,6 +31,7 @@ from dante_w.traced.normal_equations import (
     prior_precision,
     step,
 )
+from dante_w.traced.projection import FAINTEST, OUTLIER, by_point, project
 from dante_w.traced.shading_points import Observations, ShadingPoints
 from dante_w.traced.transfer import Transfer, bounced, coarser
 from dante_w.traced.watch import Course, look, noted, robust_cost
@@ -40,17 +41,13 @@ from dante_w.traced.watch import Course, look, noted, robust_cost
 TOP, BRIGHTEST, BOUNDS = 0.5, 0.98, (0.25, 0.9)
 #: Standard deviation of a photo's log exposure around the others' where the file does not tell it, and where it does.
 FREE_EXPOSURE, KNOWN_EXPOSURE = 1.0, 0.1
-#: Relative error of a colour that the model misses anyhow, absolute error of a photo's linear values, and the residual
-#: (log) at which an observation loses half its weight.
-RELATIVE, ABSOLUTE, OUTLIER = 0.04, 0.004, 0.15
+#: Relative error of a colour that the model misses anyhow, and absolute error of a photo's linear values.
+RELATIVE, ABSOLUTE = 0.04, 0.004
 #: Points that Gauss-Newton steps look at.
 POINTS = 2500
 FEWEST_PHOTOS = (
     3  # that must see a point, or as many as see one at most: then light stays what it is taken for at first
 )
-FAINTEST = 1e-5
-#: What is shown is taken to be diffuse by this share at least.
-LEAST_DIFFUSE = 0.05
 #: Directions of light in the first steps; these steps; the last steps.
 COARSE, FIRST_STEPS, LAST_STEPS = 64, 9, 7
 #: Steps after which photos may change their light, and how well another is to explain them for a light to be given up (see
@@ -105,10 +102,13 @@ class Lights:
 
 @dataclass(frozen=True)
 class Evidence:
-    """The photos' observations with the directions `towards` their cameras (M, 3) and their `weight` (M, 3)."""
+    """The photos' observations with the directions `towards` their cameras (M, 3), their `weight` (M, 3) and `log_colour`
+    (M, 3); `by_point` is their order point by point, see `projection.by_point`."""
 
     points: ShadingPoints
     seen: Observations
+    by_point: tuple[np.ndarray, np.ndarray]
+    log_colour: np.ndarray
     towards: np.ndarray
     weight: np.ndarray
     prior: KnownAlbedo
@@ -145,7 +145,8 @@ def evidence(
     else:
         expected = ExposurePrior(np.zeros(photos), FREE_EXPOSURE)
     towards = points.towards(seen.point, cameras[seen.photo])
-    return Evidence(points, seen, towards, _weights(seen), prior, expected, parts)
+    order, log_colour = by_point(seen.point, count), np.log(np.maximum(seen.colour, FAINTEST))
+    return Evidence(points, seen, order, log_colour, towards, _weights(seen), prior, expected, parts)
 
 
 def solve_lights(
@@ -279,30 +280,26 @@ class Told:
 def explain(lights: Lights, irradiance: np.ndarray, gloss: np.ndarray, of: Evidence) -> tuple[Lights, Told]:
     """The albedo that explains the photos best under given lights; with its level, which exposures lose if they are free,
     else lights, and with a prior its tint, which lights lose."""
-    seen, count = of.seen, len(of.points)
-    exposure = lights.log_exposure[seen.photo, None].astype(np.float32)
-    shown = np.log(np.maximum(seen.colour, FAINTEST)) - exposure
-    log_irradiance = np.log(irradiance)[seen.point, lights.light[seen.photo]]
-    known = of.prior.trust[:, None]
-    log_albedo = np.log(np.maximum(lights.albedo, FAINTEST))
-    cold = not lights.albedo.any()
-    for _ in range(2):
-        if cold:
-            share, over_light = np.ones_like(shown), shown - log_irradiance
-        else:
-            diffuse = np.exp(log_albedo[seen.point] + log_irradiance)
-            share = np.maximum(diffuse / (diffuse + gloss), LEAST_DIFFUSE)
-            off = np.clip((shown - np.log(diffuse + gloss)) / share, -1.5, 1.5)
-            over_light = log_albedo[seen.point] + off
-        weight = of.weight * share**2
-        trust = weight
-        for _ in range(2):
-            total = sums(trust, seen.point, count) + known + 1e-9
-            log_albedo = (sums(trust * over_light, seen.point, count) + known * of.prior.log_albedo) / total
-            residual = over_light - log_albedo[seen.point]
-            trust = weight / (1.0 + (share * residual / OUTLIER) ** 2)
-        log_albedo = np.maximum(log_albedo, np.log(FAINTEST)).astype(np.float32)
-        cold = False
+    log_albedo = np.log(np.maximum(lights.albedo, FAINTEST), dtype=np.float32)
+    over_light, trust, residual, share = (np.empty_like(of.log_colour) for _ in range(4))
+    project(
+        *of.by_point,
+        of.log_colour,
+        of.weight,
+        gloss,
+        of.seen.photo,
+        lights.log_exposure.astype(np.float32),
+        lights.light,
+        irradiance,
+        of.prior.log_albedo,
+        of.prior.trust,
+        not lights.albedo.any(),
+        log_albedo,
+        over_light,
+        trust,
+        residual,
+        share,
+    )
     level, tint = _level(log_albedo, lights, of)
     albedo = np.exp(log_albedo + (level + tint))
     albedo[~lights.known] = np.median(albedo[lights.known], axis=0)

@@ -128,7 +128,7 @@ def _solved(system: torch.Tensor, right: torch.Tensor, damping: float) -> tuple[
 
 
 def _add_channel(matrix: np.ndarray, right: np.ndarray, of: Equations, channel: int, photos: int) -> None:
-    """Add what one channel's observations say to the normal equations, in place."""
+    """Add what one channel's observations say to the normal equations, in place; of the matrix, to its lower triangle."""
     points, (lights, count, _) = len(of.direct), of.radiance.shape
     size = lights * count
     own, exposures = slice(channel * size, (channel + 1) * size), slice(3 * size, -1)
@@ -144,27 +144,26 @@ def _add_channel(matrix: np.ndarray, right: np.ndarray, of: Equations, channel: 
     r = r - best[point]
     # how the log of a point's irradiance answers to the log of each direction's radiance
     answer = of.direct[:, None, :] * of.radiance[None, :, :, channel] / of.irradiance[:, :, channel, None]
-    shared = (answer * (trust / np.sqrt(total)[:, None])[:, :, None].astype(np.float32)).reshape(points, size)
-    matrix[own, own] = -(shared.T @ shared)
-    for j in range(lights):
-        block = slice(channel * size + j * count, channel * size + (j + 1) * count)
-        matrix[block, block] += (answer[:, j] * trust[:, j, None].astype(np.float32)).T @ answer[:, j]
+    # the log albedo that is eliminated falls as light grows, and is to be even; exposures are not asked that
+    falls = (answer * (trust / total[:, None])[:, :, None].astype(np.float32)).reshape(points, size)
+    uneven = (of.even @ torch.from_numpy(falls)).numpy()
     right[own] = np.einsum("cjd,cj->jd", answer, by_light(w * r)).reshape(-1)
-
-    # the log albedo that is eliminated falls as light grows; exposures are not asked
-    falls = torch.from_numpy(shared / np.sqrt(total)[:, None].astype(np.float32))
-    uneven = of.even @ falls
-    matrix[own, own] += (falls.T @ uneven).numpy()
-    right[own] += uneven.T.numpy() @ (of.log_albedo[:, channel] + best).astype(np.float32)
+    right[own] += uneven.T @ (of.log_albedo[:, channel] + best).astype(np.float32)
+    uneven -= total[:, None].astype(np.float32) * falls
+    for j in range(lights):  # the lower triangle is all that is looked at
+        columns, others = slice(j * count, (j + 1) * count), slice((j + 1) * count)
+        among_own = matrix[own, own][columns, others]
+        among_own[:] = falls[:, columns].T @ uneven[:, others]
+        among_own[:, columns] += (answer[:, j] * trust[:, j, None].astype(np.float32)).T @ answer[:, j]
 
     # each photo sees few of the points
     ends = np.searchsorted(photo, np.arange(photos + 1))
-    cross = -_over_points(ends, point, (w / np.sqrt(total)[point]).astype(np.float32), shared)
+    cross = -_over_points(ends, point, w.astype(np.float32), falls)
     for k in range(photos):
         mine = slice(ends[k], ends[k + 1])
         block = slice(of.light[k] * count, (of.light[k] + 1) * count)
         cross[k, block] += w[mine].astype(np.float32) @ answer[point[mine], of.light[k]]
-    matrix[exposures, own], matrix[own, exposures] = cross, cross.T
+    matrix[exposures, own] = cross
     order = np.argsort(point, kind="stable")
     first = np.searchsorted(point[order], np.arange(points + 1))
     among = np.zeros((photos, photos))
@@ -174,10 +173,8 @@ def _add_channel(matrix: np.ndarray, right: np.ndarray, of: Equations, channel: 
 
     own_level = of.level[:, channel]
     level = own_level - (np.bincount(point, w * own_level, points) / total)[point]
-    matrix[own, -1] = matrix[-1, own] = np.einsum("cjd,cj->jd", answer, by_light(w * level)).reshape(-1)
-    crossed = np.bincount(photo, w * level, photos)
-    matrix[exposures, -1] += crossed
-    matrix[-1, exposures] += crossed
+    matrix[-1, own] = np.einsum("cjd,cj->jd", answer, by_light(w * level)).reshape(-1)
+    matrix[-1, exposures] += np.bincount(photo, w * level, photos)
     matrix[-1, -1] += (w * level * own_level).sum()
     right[-1] += (w * own_level * r).sum()
 

@@ -36,15 +36,15 @@ from dante_w.traced.transfer import Transfer, sphere, trace_transfer
 TRACED, EXPLAINED, DIVIDED, SIDE, FEW = 256, 1 << 15, 1 << 17, 512, 64
 #: Rows and columns of the matrices multiplied and factored.
 MULTIPLIED, FACTORED = (2048, 512), 1536
-#: Array code that is not timed, in observations explained: to pair a point of a step with its neighbours, and to look for a
-#: sun at a point. From one profile of one object, it holds on any machine.
-PAIRED, SEARCHED = 100, 100
-#: Seconds of a point or sample among many, per second of one among few: caches and threads are warm. Medians of four objects,
-#: array code as before.
-MANY_TRACED, MANY_DIVIDED = 0.55, 0.6
+#: Array code that is not timed, in observations explained: to pair a point of a step with its neighbours, to tell how it answers
+#: to one direction of one light, and to look for a sun at a point. From one profile of one object, it holds on any machine.
+PAIRED, ANSWERED, SEARCHED = 80, 0.25, 100
+#: Seconds of a point, an observation, a row or a sample among many, per second of one among few: caches and threads are warm. Medians
+#: of four objects, array code as before.
+MANY_TRACED, MANY_EXPLAINED, MANY_FACTORED, MANY_DIVIDED = 0.55, 0.35, 0.5, 0.6
 #: Lights that photos have, if there are as many photos; what is not known until they are compared. Four objects under five
 #: lights end with 5 to 8.
-LIGHTS = 6
+LIGHTS = 7
 #: Fits that a plan tries, with all first groups as lights, and one with a single light.
 TRIALS = 2
 
@@ -67,13 +67,14 @@ class TracedWork:
 
 @dataclass(frozen=True)
 class TracedPace:
-    """Seconds on this machine: to `gather` a sample, `trace` a point in all directions, `explain` an observation, compute
-    its sheen for a direction (`shine`), `multiply` in float32 and in float64 (`factor`), make the `albedo` of a sample and
+    """Seconds on this machine: to `gather` a sample, `trace` a point in all directions, `explain` an observation and `level`
+    a point beside that, compute an observation's sheen for a direction (`shine`), `multiply` in float32 and in float64 (`factor`), make the `albedo` of a sample and
     `fill` a texel."""
 
     gather: float
     trace: float
     explain: float
+    level: float
     shine: float
     multiply: float
     factor: float
@@ -107,8 +108,9 @@ def measure_traced(
         what = some, some.footprint, points, transfer, lights, cameras, side
         return timed(lambda: albedo_texture(*what, lambda _: None, rows))[1]
 
-    explained(seen.of(np.arange(min(len(seen.point), FEW))))
-    rows = seen.of(np.arange(min(len(seen.point), EXPLAINED)))
+    hardly_any, rows = (seen.of(np.arange(min(len(seen.point), count))) for count in (FEW, EXPLAINED))
+    explained(hardly_any)
+    levelling = explained(hardly_any)[1]
     shining, explaining = explained(rows)
     side = min(math.isqrt(texels), SIDE)
     divided(_first(cache, FEW), 1)
@@ -117,7 +119,8 @@ def measure_traced(
     pace = TracedPace(
         gather=gathering / len(cache),
         trace=tracing,
-        explain=explaining / max(len(rows.point), 1),
+        explain=max(explaining - levelling, 0.1 * explaining) / max(len(rows.point), 1),
+        level=levelling / len(points),
         shine=shining / max(len(rows.point), 1) / directions,
         multiply=_multiplying(),
         factor=_factoring(),
@@ -148,11 +151,11 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
         """One Gauss-Newton step with a share of the observations."""
         chosen = min(POINTS, work.points)
         unknowns = 3 * lights * directions + work.photos
-        equations = (
-            pace.multiply * 6.0 * chosen * (lights * directions) ** 2 + pace.factor * unknowns**3 / 6.0
-        )
-        explained = share * observations * (pace.explain + directions * pace.shine)
-        return equations + explained + PAIRED * chosen * pace.explain
+        answers = chosen * lights * directions
+        equations = pace.multiply * 3.0 * answers * lights * directions + ANSWERED * answers * pace.explain
+        equations += MANY_FACTORED * pace.factor * unknowns**3 / 6.0
+        explained = share * observations * (MANY_EXPLAINED * pace.explain + directions * pace.shine)
+        return equations + explained + work.points * pace.level + PAIRED * chosen * pace.explain
 
     def solve(first: int, lights: int, share: float) -> float:
         early = min(REGROUP) + 1

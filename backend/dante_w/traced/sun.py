@@ -16,7 +16,6 @@ import numpy as np
 from dante_w.rays.raycast import Raycaster
 from dante_w.traced.evenness import agreement
 from dante_w.traced.lights import (
-    FAINTEST,
     FIRST_STEPS,
     LAST_STEPS,
     Evidence,
@@ -27,6 +26,7 @@ from dante_w.traced.lights import (
     refine,
     sums,
 )
+from dante_w.traced.projection import FAINTEST
 from dante_w.traced.shading_points import Observations, ShadingPoints
 from dante_w.traced.transfer import Transfer, sunlit, with_suns
 
