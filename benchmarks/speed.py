@@ -1,7 +1,7 @@
-"""Speed of a step of the fit: `python3 dev.py bench speed [--device cpu|cuda] [--preset NAME] [--rounds N] [--json]`.
+"""Speed of a step of the fit: `python3 dev.py bench speed [--device cpu|cuda] [--preset NAME] [--rounds N] [--together N] [--json]`.
 
 A whole step of the preset's model (both encodings, decoders, loss without priors, gradients, Adam) by plain torch and by the product's
-own path on that device, numba on the CPU and Triton on CUDA, then the parts of either. Both paths take turns of 20 steps in one run,
+own path on that device, numba on the CPU and Triton on CUDA, then the parts of either. Both paths take turns of --together steps in one run,
 through the same batches of a synthetic scene, as a fit goes through its own, parts turns of one; medians count: so others' work on
 the machine slows all alike. On CUDA, the preset `paper` as
 it is and with albedo to 8192, GPU memory, and a profile by kernel. Needs no data. Prints Markdown tables.
@@ -37,8 +37,8 @@ TORCH, NUMBA, TRITON = "plain torch gather", "numba", "triton"
 STAGES = ("encode 2D", "encode 3D", "decoders", "loss", "backward", "optimiser")
 #: Texture coordinates between neighbouring pixels, as on the shared scenes: four texels of 2048.
 SPACING = 4.0 / 2048.0
-#: Steps that are timed together: after a turn of torch's, its threads spin for some milliseconds, and caches hold what is its own;
-#: on a GPU a step does not wait for the one before.
+#: Steps that are timed together. It matters: after a turn of torch's its threads spin for a while and caches hold what is its own, which
+#: slows the path that comes next; on a GPU a step does not wait for the one before.
 TOGETHER = 20
 #: Batches that steps go through.
 BATCHES = 8
@@ -60,12 +60,22 @@ def main() -> None:
     else:
         preset = PRESETS[options.preset or "standard"]
         batches = batches_of(options.batch or preset.schedule.batch, "cpu")
-        content = compare(preset.model, batches, options.rounds, NUMBA, FusedStep)
+        content = compare(preset.model, batches, options, NUMBA, FusedStep)
         print(table(f"`{options.preset or 'standard'}`", content))
     if "full_step_ratio" in content:
         print(f"\nA whole step is {content['full_step_ratio']:.1f} times as fast. {sentence(facts)}")
     if options.json:
-        print(json.dumps({"measured": facts, "device": options.device, "rounds": options.rounds, **content}))
+        print(
+            json.dumps(
+                {
+                    "measured": facts,
+                    "device": options.device,
+                    "rounds": options.rounds,
+                    "together": options.together,
+                    **content,
+                }
+            )
+        )
 
 
 def parse() -> argparse.Namespace:
@@ -74,6 +84,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--preset", choices=list(PRESETS), help="default: standard, on CUDA paper")
     parser.add_argument("--batch", type=int, help="samples a step; the preset's by default")
     parser.add_argument("--rounds", type=int, default=5, help="how often each thing is timed")
+    parser.add_argument("--together", type=int, default=TOGETHER, help="steps of either path in a turn")
     parser.add_argument("--json", action="store_true", help="the last line is one JSON object")
     return parser.parse_args()
 
@@ -91,7 +102,7 @@ def on_cuda(options: argparse.Namespace) -> dict[str, Any]:
     samples, found = batches[0], {}
     for finest in (preset.model.albedo.finest, FINE):
         spec = replace(preset.model, albedo=replace(preset.model.albedo, finest=finest))
-        content = compare(spec, batches, options.rounds, TRITON, TritonStep)
+        content = compare(spec, batches, options, TRITON, TritonStep)
         content["peak_gpu_bytes"] = {
             path: peak_bytes(way, spec, PHOTOS, samples, TERMS)
             for path, way in ((TORCH, TorchStep), (TRITON, TritonStep))
@@ -105,14 +116,16 @@ def on_cuda(options: argparse.Namespace) -> dict[str, Any]:
     return {"preset": name, "full_step_ratio": first["full_step_ratio"], "finest": found}
 
 
-def compare(spec: ModelSpec, batches: list[Samples], rounds: int, own: str, way: Way) -> dict[str, Any]:
+def compare(
+    spec: ModelSpec, batches: list[Samples], options: argparse.Namespace, own: str, way: Way
+) -> dict[str, Any]:
     """Seconds and samples per second of whole steps and their parts, by plain torch and by the path called `own`."""
-    samples = batches[0]
+    samples, rounds, together = batches[0], options.rounds, options.together
     device, batch = samples.uv.device.type, len(samples.uv)
     torch.manual_seed(0)
     model = Model(spec, PHOTOS).to(device)
-    steps = measure(whole_steps(model, batches, {TORCH: TorchStep, own: way}), rounds, device)
-    steps = {path: seconds / TOGETHER for path, seconds in steps.items()}
+    steps = measure(whole_steps(model, batches, {TORCH: TorchStep, own: way}, together), rounds, device)
+    steps = {path: seconds / together for path, seconds in steps.items()}
     plain = torch_stages(model, samples)
     parts = numba_stages(model, samples) if own == NUMBA else triton_stages(model, samples, TERMS, plain)
     stages = {path: measure(each, rounds, device) for path, each in ((TORCH, plain), (own, parts))}
@@ -146,11 +159,13 @@ def batch_of(count: int, device: str = "cpu", seed: int = 0) -> Samples:
     return Samples(*(field.to(device) for field in fields), None, weight.to(device))
 
 
-def whole_steps(model: Model, batches: list[Samples], ways: dict[str, Way]) -> dict[str, Stage]:
-    """`TOGETHER` whole steps by each of `ways`."""
+def whole_steps(
+    model: Model, batches: list[Samples], ways: dict[str, Way], together: int
+) -> dict[str, Stage]:
+    """`together` whole steps by each of `ways`."""
 
     def steps(way: Step) -> None:
-        for turn in range(TOGETHER):
+        for turn in range(together):
             way.gradients(batches[turn % len(batches)])
             way.update(1.0)
 
