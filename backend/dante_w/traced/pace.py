@@ -39,8 +39,8 @@ MULTIPLIED, FACTORED = (2048, 512), 1536
 #: Array code that is not timed, in observations explained: to pair a point of a step with its neighbours, to tell how it answers
 #: to one direction of one light, and to look for a sun at a point. From one profile of one object, it holds on any machine.
 PAIRED, ANSWERED, SEARCHED = 80, 0.25, 100
-#: Seconds of a point, an observation, a row or a sample among many, per second of one among few: caches and threads are warm. Medians
-#: of four objects, array code as before.
+#: Seconds of a point, an observation, a row or a sample among many, per second of one among few: caches and threads are warm. Set by
+#: hand, as the numbers above, from profiles and from eight runs of four objects.
 MANY_TRACED, MANY_EXPLAINED, MANY_FACTORED, MANY_DIVIDED = 0.55, 0.35, 0.5, 0.6
 #: Lights that photos have, if there are as many photos; what is not known until they are compared. Four objects under five
 #: lights end with 5 to 8.
