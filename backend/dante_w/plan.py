@@ -83,9 +83,7 @@ def normals(own: bool) -> Decision:
 
 def directions(count: int, preset: str, points: int) -> Decision:
     """From how many directions light comes."""
-    costs = (
-        f"{gigabytes(TRANSFER * points * count)} for {points:,} shading points; seconds grow with them, cubed"
-    )
+    costs = f"{gigabytes(TRANSFER * points * count)} for {points:,} shading points; seconds grow with them, squared"
     return Decision("directions", str(count), f"the preset {preset}", costs)
 
 

@@ -50,7 +50,7 @@ from dante_w.traced.pace import TracedPace, TracedWork, measure_traced, predict_
 from dante_w.traced.parts import Fixed, choose_parts
 from dante_w.traced.solve import Traced, examine, recover_albedo
 
-#: Directions that light comes from: fewer lose the shadows' edges, more cost time (cubed) and tell no more.
+#: Directions that light comes from: fewer lose the shadows' edges, more cost time (squared) and tell no more.
 DIRECTIONS = {"draft": 64, "standard": 256, "high": 256, "paper": 256}
 #: Shading points along either side of the texture, in multiples of `shading_points.SIDE`.
 FINER = {"high": 2}

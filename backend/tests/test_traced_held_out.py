@@ -57,6 +57,17 @@ def test_the_score_is_of_what_was_not_fitted(world, lights):
     assert low is not None and high is not None and low < high - 10.0
 
 
+def test_a_photo_that_fares_badly_counts_as_one(world, lights):
+    """The score is the mean of the photos' own; by summed squares the worst would decide."""
+    noise = np.random.default_rng(0).normal(0.0, 0.5, world.seen.colour.shape)
+    spoilt = world.seen.colour * np.exp(np.where((world.seen.photo == HELD_OUT[0])[:, None], noise, 0.0))
+    seen = dataclasses.replace(world.seen, colour=spoilt.astype(np.float32))
+    what = lights, world.points, world.transfer, seen, world.cameras
+    bad, good = (place(*what, HELD_OUT[[index]], PARTS)[1] for index in (0, 1))
+    both = place(*what, HELD_OUT, PARTS)[1]
+    assert both == pytest.approx((bad + good) / 2.0) and good > bad + 6.0
+
+
 def test_a_wrong_albedo_costs(world, lights):
     wrong = dataclasses.replace(lights, albedo=lights.albedo[np.random.default_rng(0).permutation(POINTS)])
     good, bad = (placed(world, each)[1] for each in (lights, wrong))

@@ -30,19 +30,21 @@ def choose_held_out(photos: int) -> np.ndarray:
 def held_out_psnr(
     model: Model, cache: RayCache, held_out: np.ndarray, seed: int, progress: Progress
 ) -> tuple[float | None, list[Setback]]:
-    """PSNR in dB of the re-rendered held-out photos (sRGB), or None if they see nothing; and setbacks on the way.
+    """PSNR in dB of the re-rendered held-out photos (sRGB), their mean, or None if they see nothing; and setbacks on the way.
 
     A held-out photo has a light and an exposure of its own, which no other photo tells. So its embedding,
     exposure and offset, and nothing else, are fitted on one half of its pixels, in bands, and the score is
     taken on the other half (as in NeRF-W, section 4).
     """
-    fitted, scored = _bands(photo_ranges(cache, held_out))
+    ranges = photo_ranges(cache, held_out)
+    fitted = _bands(ranges)[0]
+    scored = [half for own in ranges if len(half := _bands(own[None])[1])]
     if len(scored) == 0 or len(fitted) == 0:
         return None, []
     terms = LossTerms(prior_weight=0.0)
     course = fit(model, cache, fitted, terms, SCHEDULE, seed, progress, model.photo_parameters())
-    scored_samples = np.concatenate([np.arange(first, end) for first, end in scored])
-    return psnr(model, cache, scored_samples), course.setbacks
+    scores = [psnr(model, cache, np.concatenate([np.arange(*band) for band in half])) for half in scored]
+    return float(np.mean(scores)), course.setbacks
 
 
 def _bands(ranges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -29,7 +29,8 @@ def place(
     """Give each of `photos` the light and exposure that fit it best; returns the lights with these, and the PSNR.
 
     A photo's own light and exposure are fitted on one half of what it shows, in bands of the texture; PSNR in dB of
-    sRGB colours, a shading point's mean each, is taken on the other half. None if nothing is left to score.
+    sRGB colours, a shading point's mean each, is taken on the other half. The mean of the photos' own PSNR counts: summed
+    squares would be those of the photo that fares worst. None if nothing is left to score.
 
     Args:
         seen: what all photos show.
@@ -40,7 +41,7 @@ def place(
     band = (cell // points.side // BAND) % 2 == 0
     told = lights.albedo[:, None] * lights.irradiance(transfer)
     ends = np.searchsorted(seen.photo, np.arange(len(light) + 1))
-    squared, count = 0.0, 0
+    scores: list[float] = []
     for photo in photos:
         own = np.arange(ends[photo], ends[photo + 1])
         rows = seen.of(own[lights.known[seen.point[own]] & ~seen.clipped[own]])
@@ -60,8 +61,9 @@ def place(
         rendered = np.exp(exposure[photo]) * shown[~fitted, light[photo]]
         wanted = rows.colour[~fitted]
         error = np.subtract(*(srgb_from_linear_array(np.clip(each, 0.0, 1.0)) for each in (rendered, wanted)))
-        squared, count = squared + float(np.square(error, dtype=np.float64).sum()), count + error.size
-    score = -10.0 * float(np.log10(max(squared / count, 1e-12))) if count else None
+        if error.size:
+            scores.append(-10.0 * np.log10(max(np.square(error, dtype=np.float64).mean(), 1e-12)))
+    score = float(np.mean(scores)) if scores else None
     return replace(lights, light=light, log_exposure=exposure), score
 
 

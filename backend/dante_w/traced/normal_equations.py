@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from numba import prange
 
-from dante_w.errors import DanteError
 from dante_w.jit import njit_parallel_fast
+from dante_w.traced.channels import System, solve
 
 #: Standard deviation and correlation length (radians) of log light over the sphere, brightness and colour; and of its
 #: mean colour and level. Exposures that are free have the level; where they are known or all one, light has it.
@@ -26,8 +26,6 @@ BRIGHTNESS, COLOUR, MEAN_COLOUR, LEVEL, OPEN_LEVEL = (2.0, 0.5), (0.15, 0.8), 0.
 TRUST = 0.1 / 0.15**2
 #: Standard deviation of the log of albedo's level, which a rule sets: steps allow for its being wrong.
 UNSURE_LEVEL = 0.35
-#: What the damping is multiplied with where that much of it gives no step.
-HARDER = (1e3, 1e6)
 #: Standard deviation of a step of a sun's log radiance, of which nothing is known beforehand.
 SUN_STEP = 0.3
 #: No log radiance changes by more than this in a step.
@@ -95,43 +93,42 @@ def step(
     what the damping had to be multiplied with."""
     lights, count, _ = equations.radiance.shape
     size, photos = lights * count, len(exposure)
-    unknowns = 3 * size + photos + 1  # the last one is the level's
-    matrix, right = np.zeros((unknowns, unknowns), np.float32), np.zeros(unknowns)
+    own = np.empty((3, size, size), np.float32)
+    cross = np.zeros((3, photos + 1, size), np.float32)  # the last one is the level's
+    shared = np.zeros((photos + 1, photos + 1))
+    right, right_shared = np.zeros((3, size)), np.zeros(photos + 1)
     for channel in range(3):
-        _add_channel(matrix, right, equations, channel, photos)
-    system = torch.from_numpy(matrix).double() * TRUST
-    right *= TRUST
+        told = _channel(own[channel], cross[channel], right[channel], equations, channel, photos)
+        shared += told[0]
+        right_shared += told[1]
     log_radiance = np.log(equations.radiance)
     log_radiance[:, count - equations.suns :] = 0.0  # suns are not pulled anywhere
-    _add_prior(system.numpy(), right, log_radiance, exposure, expected, precision)
-    change, further = _solved(system, torch.from_numpy(right), damping)
-    change *= min(1.0, LONGEST_STEP / max(float(np.abs(change[: 3 * size]).max()), 1e-9))
-    radiance = change[: 3 * size].reshape(3, lights, count).transpose(1, 2, 0)
-    return radiance, change[3 * size : -1], float(change[-1]), 1.0 / further
+    brightness, tint = precision
+    mean = log_radiance.mean(axis=2, keepdims=True)
+    pull = np.einsum("de,jex->xjd", brightness, mean) + np.einsum("de,jex->xjd", tint, log_radiance - mean)
+    away = exposure - expected.mean
+    right = right * TRUST - pull.reshape(3, size)
+    shared, right_shared = shared * TRUST, right_shared * TRUST
+    shared[np.diag_indices(photos)] += 1.0 / expected.deviation**2
+    right_shared[:-1] -= (away - away.mean()) / expected.deviation**2
+    shared[-1, -1] += 1.0 / UNSURE_LEVEL**2
+    observed = (torch.from_numpy(part).double().mul_(TRUST) for part in (own, cross))
+    system = System(*observed, *(torch.from_numpy(part) for part in (shared, brightness, tint)))
+    change, further, harder = solve(system, torch.from_numpy(right), torch.from_numpy(right_shared), damping)
+    shorter = min(1.0, LONGEST_STEP / max(float(change.abs().max()), 1e-9))
+    radiance = change.reshape(3, lights, count).permute(1, 2, 0).numpy() * shorter
+    rest = further.numpy() * shorter
+    return radiance, rest[:-1], float(rest[-1]), 1.0 / harder
 
 
-def _solved(system: torch.Tensor, right: torch.Tensor, damping: float) -> tuple[np.ndarray, float]:
-    """The step (N,), damped until there is one that is finite, and how much harder; rounding may leave a matrix that
-    has none.
-
-    Raises:
-        DanteError: there is none.
-    """
-    diagonal = system.diagonal().clone()
-    for further in (1.0, *HARDER):
-        system.diagonal().copy_(diagonal * (1.0 + 0.01 * damping * further) + 1e-8 * further)
-        factor, failed = torch.linalg.cholesky_ex(system)
-        change = torch.cholesky_solve(right[:, None], factor).numpy()[:, 0]
-        if not failed and np.isfinite(change).all():
-            return change, further
-    raise DanteError("The photos' light cannot be solved for; take --irradiance field.")
-
-
-def _add_channel(matrix: np.ndarray, right: np.ndarray, of: Equations, channel: int, photos: int) -> None:
-    """Add what one channel's observations say to the normal equations, in place; of the matrix, to its lower triangle."""
+def _channel(
+    own: np.ndarray, cross: np.ndarray, right: np.ndarray, of: Equations, channel: int, photos: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """What one channel's observations say: of its log radiance, to write to `own` (N, N), `cross` (K + 1, N) and `right` (N,) of
+    zeros; and (K + 1, K + 1) and (K + 1,) of exposures and level."""
     points, (lights, count, _) = len(of.direct), of.radiance.shape
     size = lights * count
-    own, exposures = slice(channel * size, (channel + 1) * size), slice(3 * size, -1)
+    shared, right_shared = np.zeros((photos + 1, photos + 1)), np.zeros(photos + 1)
     point, photo, light = of.point, of.photo, of.light[of.photo]
     w, r, known = of.weight[:, channel], of.residual[:, channel], of.known[:, channel]
 
@@ -147,46 +144,35 @@ def _add_channel(matrix: np.ndarray, right: np.ndarray, of: Equations, channel: 
     # the log albedo that is eliminated falls as light grows, and is to be even; exposures are not asked that
     falls = (answer * (trust / total[:, None])[:, :, None].astype(np.float32)).reshape(points, size)
     uneven = (of.even @ torch.from_numpy(falls)).numpy()
-    right[own] = np.einsum("cjd,cj->jd", answer, by_light(w * r)).reshape(-1)
-    right[own] += uneven.T @ (of.log_albedo[:, channel] + best).astype(np.float32)
+    right[:] = np.einsum("cjd,cj->jd", answer, by_light(w * r)).reshape(-1)
+    right += uneven.T @ (of.log_albedo[:, channel] + best).astype(np.float32)
     uneven -= total[:, None].astype(np.float32) * falls
-    for j in range(lights):  # the lower triangle is all that is looked at
-        columns, others = slice(j * count, (j + 1) * count), slice((j + 1) * count)
-        among_own = matrix[own, own][columns, others]
-        among_own[:] = falls[:, columns].T @ uneven[:, others]
-        among_own[:, columns] += (answer[:, j] * trust[:, j, None].astype(np.float32)).T @ answer[:, j]
+    for j in range(lights):
+        columns, earlier = slice(j * count, (j + 1) * count), slice(j * count)
+        own[columns, : columns.stop] = falls[:, columns].T @ uneven[:, : columns.stop]
+        own[columns, columns] += (answer[:, j] * trust[:, j, None].astype(np.float32)).T @ answer[:, j]
+        own[earlier, columns] = own[columns, earlier].T
 
     # each photo sees few of the points
     ends = np.searchsorted(photo, np.arange(photos + 1))
-    cross = -_over_points(ends, point, w.astype(np.float32), falls)
+    _add_over_points(ends, point, -w.astype(np.float32), falls, cross)
     for k in range(photos):
         mine = slice(ends[k], ends[k + 1])
         block = slice(of.light[k] * count, (of.light[k] + 1) * count)
         cross[k, block] += w[mine].astype(np.float32) @ answer[point[mine], of.light[k]]
-    matrix[exposures, own] = cross
     order = np.argsort(point, kind="stable")
     first = np.searchsorted(point[order], np.arange(points + 1))
-    among = np.zeros((photos, photos))
-    _add_pairs(ends, point, w / total[point], first, photo[order], w[order], among)
-    matrix[exposures, exposures] += np.diag(np.bincount(photo, w, photos)) - among
-    right[exposures] += np.bincount(photo, w * r, photos)
+    _add_pairs(ends, point, -w / total[point], first, photo[order], w[order], shared)
+    shared[np.diag_indices(photos)] += np.bincount(photo, w, photos)
+    right_shared[:-1] = np.bincount(photo, w * r, photos)
 
     own_level = of.level[:, channel]
     level = own_level - (np.bincount(point, w * own_level, points) / total)[point]
-    matrix[-1, own] = np.einsum("cjd,cj->jd", answer, by_light(w * level)).reshape(-1)
-    matrix[-1, exposures] += np.bincount(photo, w * level, photos)
-    matrix[-1, -1] += (w * level * own_level).sum()
-    right[-1] += (w * own_level * r).sum()
-
-
-def _over_points(
-    ends: np.ndarray, point: np.ndarray, values: np.ndarray, of_points: np.ndarray
-) -> np.ndarray:
-    """(K, N) sums over each photo's observations, from `ends[k]` to `ends[k + 1]`, of `values` (M,) times what (C, N) belongs to
-    their points (M,)."""
-    out = np.zeros((len(ends) - 1, of_points.shape[1]), of_points.dtype)
-    _add_over_points(ends, point, values, of_points, out)
-    return out
+    cross[-1] = np.einsum("cjd,cj->jd", answer, by_light(w * level)).reshape(-1)
+    shared[-1, :-1] = shared[:-1, -1] = np.bincount(photo, w * level, photos)
+    shared[-1, -1] = (w * level * own_level).sum()
+    right_shared[-1] = (w * own_level * r).sum()
+    return shared, right_shared
 
 
 @njit_parallel_fast
@@ -215,29 +201,3 @@ def _add_pairs(
         for m in range(ends[k], ends[k + 1]):
             for n in range(first[point[m]], first[point[m] + 1]):
                 out[k, photo[n]] += values[m] * others[n]
-
-
-def _add_prior(
-    system: np.ndarray,
-    right: np.ndarray,
-    log_radiance: np.ndarray,
-    exposure: np.ndarray,
-    expected: ExposurePrior,
-    precision: tuple[np.ndarray, np.ndarray],
-) -> None:
-    """Add the prior's pull to the normal equations, in place. Channels are laid out one after another."""
-    lights, count, _ = log_radiance.shape
-    grey = np.full((3, 3), 1.0 / 3.0)
-    for matrix, part in zip(precision, (grey, np.eye(3) - grey), strict=True):
-        pull = np.einsum("de,jex,xy->yjd", matrix, log_radiance, part).reshape(3, -1)
-        for x in range(3):
-            right[x * lights * count : (x + 1) * lights * count] -= pull[x]
-            for y in range(3):
-                for j in range(lights):
-                    row, column = (x * lights + j) * count, (y * lights + j) * count
-                    system[row : row + count, column : column + count] += part[x, y] * matrix
-    photos = np.arange(3 * lights * count, len(right) - 1)
-    away = exposure - expected.mean
-    system[photos, photos] += 1.0 / expected.deviation**2
-    right[photos] -= (away - away.mean()) / expected.deviation**2
-    system[-1, -1] += 1.0 / UNSURE_LEVEL**2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -34,14 +35,18 @@ from dante_w.traced.transfer import Transfer, sphere, trace_transfer
 #: Points traced, observations explained, samples given an albedo, and texels a side filled at most; and of samples and
 #: observations before them, which only load kernels.
 TRACED, EXPLAINED, DIVIDED, SIDE, FEW = 256, 1 << 15, 1 << 17, 512, 64
+#: How often what takes milliseconds is timed.
+TIMED = 5
 #: Rows and columns of the matrices multiplied and factored.
 MULTIPLIED, FACTORED = (2048, 512), 1536
 #: Array code that is not timed, in observations explained: to pair a point of a step with its neighbours, to tell how it answers
 #: to one direction of one light, and to look for a sun at a point. From one profile of one object, it holds on any machine.
 PAIRED, ANSWERED, SEARCHED = 80, 0.25, 100
+#: What conjugate gradients take, as rows of the matrices multiplied. From the same profile.
+ITERATED = 10_000
 #: Seconds of a point, an observation, a row or a sample among many, per second of one among few: caches and threads are warm. Set by
 #: hand, as the numbers above, from profiles and from eight runs of four objects.
-MANY_TRACED, MANY_EXPLAINED, MANY_FACTORED, MANY_DIVIDED = 0.55, 0.35, 0.5, 0.6
+MANY_TRACED, MANY_EXPLAINED, MANY_MULTIPLIED, MANY_FACTORED, MANY_DIVIDED = 0.55, 0.35, 1.8, 0.5, 0.6
 #: Lights that photos have, if there are as many photos; what is not known until they are compared. Four objects under five
 #: lights end with 5 to 8.
 LIGHTS = 7
@@ -97,10 +102,13 @@ def measure_traced(
     irradiance = lights.irradiance(transfer)
 
     def explained(rows: Observations) -> tuple[float, float]:
-        """Seconds of the sheen and of the rest."""
-        of = evidence(points, rows, cameras)
-        gloss, shining = timed(lambda: observed_sheen(of, transfer, lights))
-        return shining, timed(lambda: explain(lights, irradiance, gloss, of))[1]
+        """Seconds of the sheen and of the rest, as usual among a few."""
+        of, seconds = evidence(points, rows, cameras), []
+        for _ in range(TIMED):
+            gloss, shining = timed(lambda: observed_sheen(of, transfer, lights))
+            seconds.append((shining, timed(partial(explain, lights, irradiance, gloss, of))[1]))
+        usual, rest = np.median(seconds, axis=0)
+        return float(usual), float(rest)
 
     def divided(some: RayCache, side: int) -> float:
         assert some.footprint is not None
@@ -109,7 +117,6 @@ def measure_traced(
         return timed(lambda: albedo_texture(*what, lambda _: None, rows))[1]
 
     hardly_any, rows = (seen.of(np.arange(min(len(seen.point), count))) for count in (FEW, EXPLAINED))
-    explained(hardly_any)
     levelling = explained(hardly_any)[1]
     shining, explaining = explained(rows)
     side = min(math.isqrt(texels), SIDE)
@@ -150,10 +157,10 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
     def step(lights: int, directions: int, share: float) -> float:
         """One Gauss-Newton step with a share of the observations."""
         chosen = min(POINTS, work.points)
-        unknowns = 3 * lights * directions + work.photos
-        answers = chosen * lights * directions
-        equations = pace.multiply * 3.0 * answers * lights * directions + ANSWERED * answers * pace.explain
-        equations += MANY_FACTORED * pace.factor * unknowns**3 / 6.0
+        unknowns = lights * directions
+        equations = pace.multiply * (3.0 * MANY_MULTIPLIED * chosen + ITERATED) * unknowns**2
+        equations += ANSWERED * chosen * unknowns * pace.explain
+        equations += MANY_FACTORED * pace.factor * 2.0 * unknowns**3 / 6.0
         explained = share * observations * (MANY_EXPLAINED * pace.explain + directions * pace.shine)
         return equations + explained + work.points * pace.level + PAIRED * chosen * pace.explain
 
@@ -226,9 +233,9 @@ def _factoring() -> float:
 
 
 def _warm(work: Callable[[], object]) -> float:
-    """Seconds, once libraries have started their threads."""
+    """Seconds as usual, once libraries have started their threads."""
     work()
-    return timed(work)[1]
+    return float(np.median([timed(work)[1] for _ in range(TIMED)]))
 
 
 def _first(cache: RayCache, count: int) -> RayCache:

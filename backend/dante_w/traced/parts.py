@@ -110,7 +110,7 @@ def _ignore(step: int, steps: int) -> None:
 
 
 _COSTS = {
-    "groups": "seconds grow with the number of lights, cubed",
+    "groups": "seconds grow with the number of lights, squared",
     "exposures": "one number a photo",
     "bounce": "a fifth of the time for lights, 100 MB for ten million rays",
     "gloss": "half of the time for lights",
