@@ -2,8 +2,8 @@
 
 Whether photos differ in light and in exposure is tried on held-out photos, with fits that cost little: few directions,
 a quarter of the points. Bounced light follows from the mesh alone. Gloss does not. Under one light held-out photos tell
-it: they are re-rendered 2.3 and 3.3 dB better with it where it is worth 4.5 and 1.7 dB of albedo (two rendered objects), and
-1.1 dB worse where it darkens what lies in the shade (a real one). Under several lights they do not: on four rendered objects
+it: they are re-rendered 2.3 and 3.3 dB better with it (squares summed over photos) where it is worth
+4.5 and 1.7 dB of albedo (two rendered objects), and 1.1 dB worse where it darkens what lies in the shade (a real one). Under several lights they do not: on four rendered objects
 they wanted it off for two (by 0.7 and 1.9 dB) where it is worth 2 and 3 dB of albedo after gain, since an error of level, which
 they cannot tell, hurts more with it. All surfaces reflect at a grazing angle, so it is on there.
 """
