@@ -3,7 +3,8 @@
 Of traced light, or of the paper's model (`field`), which have knobs of their own. DIR holds scene folders as `gigalit` wants them. Every preset, and `standard` with one knob turned at a time, runs
 on every object. Prints a Markdown table of the means and writes tradeoff-IRRADIANCE.json and a figure with the Pareto
 front to --out. Finished runs are kept there and used again as long as code, settings, scene and machine are the same: when
---minutes are over, or after an interruption, the same command goes on. Times count only on an idle machine.
+--minutes are over, or after an interruption, the same command goes on. Times count only on an idle machine. Its speed changes
+within the hour all the same, so `standard` runs again beside each knob's values, and seconds are by it (`paces`).
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ class Setting:
 
 
 class Job(NamedTuple):
-    """A setting on an object, and the file that holds what came of it."""
+    """A setting on an object, and the file that holds what came of it. A knob's runs are its own."""
 
     setting: Setting
     scene: Path
@@ -143,14 +144,21 @@ def main() -> None:
     machine = [options.device, *(facts[name] for name in ("processor", "cores", "gpu", "versions"))]
     jobs = [Job(each, scene, note(options.out, each, scene, machine)) for each in wanted for scene in scenes]
     measure(jobs, options)
-    runs = [[read(job.file) for job in jobs if job.setting is each] for each in wanted]
-    rows = [mean_row(each, found) for each, found in zip(wanted, runs, strict=True) if all(found)]
+    runs = [(each, [read(job.file) for job in jobs if job.setting is each]) for each in wanted]
+    pace = paces(runs)
+    rows = [
+        mean_row(each, found, pace[each.knob]) for each, found in runs if all(found) and each.knob in pace
+    ]
     if (PRESET, BASE) not in [(row.knob, row.label) for row in rows]:
         sys.exit(f"`{BASE}` has not been run on all objects yet; give it more --minutes.")
     front = on_front(rows)
-    device = next(run["device"] for found in runs for run in found if run)
+    device = next(run["device"] for _, found in runs for run in found if run)
     names = ", ".join(scene.name for scene in scenes)
-    print(f"{table(rows, front, BASE)}\n\nMeans over {names}; on {device}. {sentence(facts)}")
+    ranged = [by * next(row.seconds for row in rows if row.label == BASE) for by in pace.values()]
+    print(
+        f"{table(rows, front, BASE)}\n\nMeans over {names}; on {device}. `{BASE}` took {min(ranged):.1f} to "
+        f"{max(ranged):.1f} s beside the {len(pace)} knobs, and seconds are by it. {sentence(facts)}"
+    )
     if len(rows) < len(wanted):
         print(
             f"{len(wanted) - len(rows)} of {len(wanted)} settings still miss runs: run this again.",
@@ -160,7 +168,8 @@ def main() -> None:
     content = {
         "made_with": {**facts, "device": device, "objects": names},
         "rows": marked,
-        "runs": [read(file) for file in dict.fromkeys(job.file for job in jobs) if file.is_file()],
+        "paces": pace,
+        "runs": [read(job.file) | {"knob": job.setting.knob} for job in jobs if job.file.is_file()],
     }
     (options.out / f"tradeoff-{options.irradiance}.json").write_text(
         json.dumps(content, indent=1), encoding="utf-8"
@@ -219,7 +228,7 @@ def settings(presets: Sequence[str], knobs: Sequence[str], irradiance: str = TRA
 
 def note(out: Path, setting: Setting, scene: Path, machine: Sequence[Any]) -> Path:
     """Where the facts of one run are kept: the name holds all that they hang on."""
-    parts = json.dumps([setting.content(), scene_digest(scene), code_digest(), *machine])
+    parts = json.dumps([setting.knob, setting.content(), scene_digest(scene), code_digest(), *machine])
     return out / "runs" / f"{scene.name}-{hashlib.sha256(parts.encode()).hexdigest()[:16]}.json"
 
 
@@ -244,13 +253,8 @@ def scene_digest(scene: Path) -> str:
 
 
 def measure(jobs: Sequence[Job], options: argparse.Namespace) -> None:
-    """Make the runs that are missing: presets first, then knobs, the quick ones first."""
-    once = {
-        job.file: job for job in reversed(jobs) if not job.file.is_file()
-    }  # the first name of a run counts
-    missing = sorted(
-        once.values(), key=lambda job: (job.setting.knob != PRESET, job.setting.expected_seconds())
-    )
+    """Make the runs that are missing: presets first, then knob by knob, so that those to be compared are soon after each other."""
+    missing = [job for job in jobs if not job.file.is_file()]
     code = code_digest()
     start, expected, pace = time.monotonic(), 0.0, 1.0
     for done, job in enumerate(missing):
@@ -331,11 +335,23 @@ def read(file: Path) -> dict[str, Any]:
 # --- results ----------------------------------------------------------------------------------------
 
 
-def mean_row(setting: Setting, runs: Iterable[Mapping[str, Any]]) -> Row:
+def paces(runs: Iterable[tuple[Setting, Sequence[Mapping[str, Any]]]]) -> dict[str, float]:
+    """By knob, how long `BASE` took beside its values, over the mean of all knobs; those alone that have it for all objects."""
+    of_base = {
+        setting.knob: sum(run["seconds"] for run in found)
+        for setting, found in runs
+        if all(found) and setting.content() == dataclasses.replace(setting, changes={}, preset=BASE).content()
+    }
+    mean = np.mean(list(of_base.values()))
+    return {knob: float(seconds / mean) for knob, seconds in of_base.items()}
+
+
+def mean_row(setting: Setting, runs: Iterable[Mapping[str, Any]], pace: float) -> Row:
+    """Means over objects; seconds are divided by the machine's `pace` at the time."""
     columns = [
         (
-            run["seconds"],
-            sum(run["stages"].get(stage, 0.0) for stage in FITTING),
+            run["seconds"] / pace,
+            sum(run["stages"].get(stage, 0.0) for stage in FITTING) / pace,
             run["scores"][RAW],
             run["scores"][ACCURACY],
         )

@@ -24,6 +24,7 @@ from tradeoff import (
     measure,
     note,
     on_front,
+    paces,
     settings,
 )
 
@@ -145,11 +146,11 @@ def test_finished_runs_are_not_repeated(scene, tmp_path, runs):
     jobs = [Job(each, scene, note(options.out, each, scene, [])) for each in wanted]
     measure(jobs[:2], options)
     assert runs == ["warm-up", "draft", BASE]
-    measure(jobs, options)  # the preset and steps 500 are one run
-    assert runs[3:] == ["warm-up", "60", "150", "1000", "2000"]
+    measure(jobs, options)
+    assert runs[3:] == ["warm-up", "60", "150", "500", "1000", "2000"]  # 500 is standard again
     assert sorted(options.out.rglob("*.partial")) == []
     measure(jobs, options)
-    assert len(runs) == 8
+    assert len(runs) == 9
     assert all(tradeoff.read(job.file)["device"] == "cpu" for job in jobs)
 
 
@@ -193,25 +194,47 @@ def test_main_goes_on_where_it_stopped(scene, tmp_path, runs, monkeypatch, capsy
     arguments += ["--knobs", "precision", "--json"]
     monkeypatch.setattr("sys.argv", [*arguments, "--presets", "draft"])
     tradeoff.main()
-    assert runs == ["warm-up", "draft", BASE, "bfloat16"]
+    assert runs == ["warm-up", "draft", BASE, "bfloat16", "float32"]
     monkeypatch.setattr("sys.argv", [*arguments, "--minutes", "2"])
     tradeoff.main()
-    assert runs[4:] == []  # `high` would take longer
+    assert runs[5:] == []  # `high` would take longer
     assert "1 of 5 settings still miss runs" in capsys.readouterr().err
     monkeypatch.setattr("sys.argv", arguments)
     tradeoff.main()
-    assert runs[4:] == ["warm-up", "high"]
+    assert runs[5:] == ["warm-up", "high"]
     content = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert content == json.loads((out / "tradeoff-field.json").read_text())
     assert [row["label"] for row in content["rows"]] == ["draft", BASE, "high", "bfloat16", "float32"]
     assert content["made_with"]["device"] == "cpu" and content["made_with"]["objects"] == "cup"
-    assert len(content["runs"]) == 4  # float32 is what `standard` does
+    assert [run["knob"] for run in content["runs"]] == [PRESET] * 3 + ["precision"] * 2
+    assert set(content["paces"]) == {PRESET, "precision"}
     assert (out / "tradeoff-field.png").is_file()
 
 
 def test_row_is_the_mean_over_objects():
-    row = mean_row(Setting("steps", "60"), [facts(10.0, 20.0), facts(30.0, 23.0)])
+    row = mean_row(Setting("steps", "60"), [facts(10.0, 20.0), facts(30.0, 23.0)], 1.0)
     assert row == Row("steps", "60", 20.0, 6.0, 16.5, 21.5)
+
+
+def test_seconds_do_not_hang_on_when_a_knob_was_measured():
+    """The machine is half as fast for the second knob, and a third knob misses a run."""
+    runs = [
+        (Setting("steps", "500", irradiance=FIELD), [facts(20.0, 20.0), facts(40.0, 20.0)]),
+        (
+            Setting("steps", "60", {"schedule.steps": 60}, irradiance=FIELD),
+            [facts(8.0, 20.0), facts(16.0, 20.0)],
+        ),
+        (Setting("rays", "1", irradiance=FIELD), [facts(40.0, 20.0), facts(80.0, 20.0)]),
+        (
+            Setting("rays", "1/4", {"ray_fraction": 0.25}, irradiance=FIELD),
+            [facts(16.0, 20.0), facts(32.0, 20.0)],
+        ),
+        (Setting("seed", "0", irradiance=FIELD), [facts(40.0, 20.0), {}]),
+    ]
+    pace = paces(runs)
+    assert pace == {"steps": pytest.approx(2 / 3), "rays": pytest.approx(4 / 3)}
+    seconds = [mean_row(setting, found, pace[setting.knob]).seconds for setting, found in runs[:4]]
+    assert seconds == pytest.approx([45.0, 18.0, 45.0, 18.0])
 
 
 def test_a_lucky_seed_is_not_on_the_front():
