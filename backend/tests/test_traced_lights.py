@@ -19,6 +19,7 @@ from dante_w.traced.lights import (
     Parts,
     solve_lights,
 )
+from dante_w.traced.normal_equations import Equations, step
 from dante_w.traced.shading_points import Observations
 from open_world import DIRECTIONS, LIGHTS, PHOTOS, POINTS, World, make_world, unit
 
@@ -71,6 +72,20 @@ def test_albedo_is_recovered_up_to_a_gain(world, found):
     assert albedo_error(world, found) < 0.03
     assert np.quantile(found.albedo[found.known].max(axis=1), BRIGHTEST) == pytest.approx(found.top, rel=1e-3)
     assert found.top == pytest.approx(TOP, rel=0.05), "as in the world: sheen tells"
+
+
+@pytest.mark.parametrize(("sides", "counts"), [(2, 1.0), (1, 1.0), (0.5, 2.0)])
+def test_points_of_smaller_cells_count_more(world, monkeypatch, sides, counts):
+    seen: set[float] = set()
+
+    def steps(equations: Equations, *others: Any) -> Any:
+        seen.add(equations.counts)
+        return step(equations, *others)
+
+    monkeypatch.setattr("dante_w.traced.lights.COUNTED_SIDE", sides * world.points.side)
+    monkeypatch.setattr("dante_w.traced.lights.step", steps)
+    solved(world, fine=False)
+    assert seen == {counts}
 
 
 @pytest.mark.parametrize("top", [0.3, 0.7])

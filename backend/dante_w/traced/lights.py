@@ -43,19 +43,23 @@ TOP, BRIGHTEST, BOUNDS = 0.5, 0.98, (0.25, 0.9)
 FREE_EXPOSURE, KNOWN_EXPOSURE = 1.0, 0.1
 #: Relative error of a colour that the model misses anyhow, and absolute error of a photo's linear values.
 RELATIVE, ABSOLUTE = 0.04, 0.004
-#: Points that Gauss-Newton steps look at.
+#: Points that Gauss-Newton steps look at. More are no better: their neighbours, which are to be even, come nearer then, and nearer
+#: ones tell less (see `evenness`).
 POINTS = 2500
+#: Cells along either side of the texture whose points count once. Of smaller ones fewer photos see each, and less of it, but as many
+#: points tell no less of light: they count more.
+COUNTED_SIDE = 256
 FEWEST_PHOTOS = (
     3  # that must see a point, or as many as see one at most: then light stays what it is taken for at first
 )
 #: Directions of light in the first steps; these steps; the last steps.
-COARSE, FIRST_STEPS, LAST_STEPS = 64, 9, 7
+COARSE, FIRST_STEPS, LAST_STEPS = 64, 9, 5
 #: Steps after which photos may change their light, and how well another is to explain them for a light to be given up (see
 #: `regroup`): early on all explain badly, and photos of two lights that have become one do not part again.
 REGROUP = {3: 1.1, 5: 1.15, 7: 1.25}
 #: The step that sets the level, and how far it is believed: on seven rendered objects the true level goes with what it finds
 #: by a slope of 0.5.
-LEVEL_STEP, LEVEL_TRUST = 13, 0.55
+LEVEL_STEP, LEVEL_TRUST = 12, 0.55
 #: Steps from a cold start before sheen is modelled.
 WITHOUT_GLOSS = 2
 
@@ -358,6 +362,7 @@ def _equations(
         log_albedo=np.log(lights.albedo[chosen]),
         even=even,
         suns=transfer.suns,
+        counts=max(of.points.side / COUNTED_SIDE, 1.0),
     )
 
 

@@ -39,7 +39,7 @@ class Equations:
     each photo; `level` (M, 3) how the log of what is shown answers, divided by f, to the log of albedo's level: more of
     it is bounced, less is sheen; `known` (C, 3) weight and `known_residual` (C, 3) of what a prior says of log albedo;
     `log_albedo` (C, 3) at present, and `even` (C, C) how far pairs of points are to agree in it, see `evenness`. The last of the D
-    directions are `suns`.
+    directions are `suns`. All that is said of points counts `counts` times `TRUST`.
     """
 
     point: np.ndarray
@@ -56,6 +56,7 @@ class Equations:
     log_albedo: np.ndarray
     even: torch.Tensor
     suns: int = 0
+    counts: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -107,12 +108,13 @@ def step(
     mean = log_radiance.mean(axis=2, keepdims=True)
     pull = np.einsum("de,jex->xjd", brightness, mean) + np.einsum("de,jex->xjd", tint, log_radiance - mean)
     away = exposure - expected.mean
-    right = right * TRUST - pull.reshape(3, size)
-    shared, right_shared = shared * TRUST, right_shared * TRUST
+    trust = TRUST * equations.counts
+    right = right * trust - pull.reshape(3, size)
+    shared, right_shared = shared * trust, right_shared * trust
     shared[np.diag_indices(photos)] += 1.0 / expected.deviation**2
     right_shared[:-1] -= (away - away.mean()) / expected.deviation**2
     shared[-1, -1] += 1.0 / UNSURE_LEVEL**2
-    observed = (torch.from_numpy(part).double().mul_(TRUST) for part in (own, cross))
+    observed = (torch.from_numpy(part).double().mul_(trust) for part in (own, cross))
     system = System(*observed, *(torch.from_numpy(part) for part in (shared, brightness, tint)))
     change, further, harder = solve(system, torch.from_numpy(right), torch.from_numpy(right_shared), damping)
     shorter = min(1.0, LONGEST_STEP / max(float(change.abs().max()), 1e-9))
