@@ -30,7 +30,7 @@ from dante_w.recover_traced import LEFT_OUT
 from measure.command import ROOT
 from measure.curves import draw
 from measure.machine import provenance, sentence
-from measure.pareto import PRESET, Row, pareto_front, table
+from measure.pareto import PRESET, Row, pareto_front, table, within_chance
 from measure.scenes import scenes_in
 from measure.score import score
 from methods.variant import CONSTANTS, DIRECTIONS, OUTSIDE, altered
@@ -151,24 +151,29 @@ def main() -> None:
     ]
     if (PRESET, BASE) not in [(row.knob, row.label) for row in rows]:
         sys.exit(f"`{BASE}` has not been run on all objects yet; give it more --minutes.")
-    front = on_front(rows)
+    front, near, chance = on_front(rows)
     device = next(run["device"] for _, found in runs for run in found if run)
     names = ", ".join(scene.name for scene in scenes)
     ranged = [by * next(row.seconds for row in rows if row.label == BASE) for by in pace.values()]
     print(
-        f"{table(rows, front, BASE)}\n\nMeans over {names}; on {device}. `{BASE}` took {min(ranged):.1f} to "
-        f"{max(ranged):.1f} s beside the {len(pace)} knobs, and seconds are by it. {sentence(facts)}"
+        f"{table(rows, front, near, BASE)}\n\nMeans over {names}; on {device}. `{BASE}` took {min(ranged):.1f} to "
+        f"{max(ranged):.1f} s beside the {len(pace)} knobs, and seconds are by it. "
+        f"By chance, as seeds show, means move by {chance:.2f} dB. {sentence(facts)}"
     )
     if len(rows) < len(wanted):
         print(
             f"{len(wanted) - len(rows)} of {len(wanted)} settings still miss runs: run this again.",
             file=sys.stderr,
         )
-    marked = [{**dataclasses.asdict(row), "on_front": bool(on)} for row, on in zip(rows, front, strict=True)]
+    marked = [
+        {**dataclasses.asdict(row), "on_front": bool(on), "but_for_chance": bool(almost)}
+        for row, on, almost in zip(rows, front, near, strict=True)
+    ]
     content = {
         "made_with": {**facts, "device": device, "objects": names},
         "rows": marked,
         "paces": pace,
+        "chance": chance,
         "runs": [read(job.file) | {"knob": job.setting.knob} for job in jobs if job.file.is_file()],
     }
     (options.out / f"tradeoff-{options.irradiance}.json").write_text(
@@ -360,13 +365,17 @@ def mean_row(setting: Setting, runs: Iterable[Mapping[str, Any]], pace: float) -
     return Row(setting.knob, setting.label, *np.mean(columns, axis=0).tolist())
 
 
-def on_front(rows: Sequence[Row]) -> np.ndarray:
-    """(N,) bool: the rows on the Pareto front of seconds and PSNR after gain."""
+def on_front(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray, float]:
+    """(N,) bool: the rows on the Pareto front of seconds and PSNR after gain, and those that are on it but for chance; with chance
+    in dB, how far seeds lie apart."""
     choices = np.array([row.knob != SEED for row in rows])
-    front = np.zeros(len(rows), bool)
+    front, near = np.zeros((2, len(rows)), bool)
     points = np.array([(row.seconds, row.psnr_after_gain) for row in rows])[choices]
+    by_seed = [row.psnr_after_gain for row in rows if row.knob == SEED]
+    chance = float(np.ptp(by_seed)) if by_seed else 0.0
     front[choices] = pareto_front(*points.T)
-    return front
+    near[choices] = within_chance(*points.T, chance)
+    return front, near, chance
 
 
 def say(text: str) -> None:

@@ -47,8 +47,8 @@ def test_table_compares_with_the_base():
         Row(PRESET, "standard", 40.0, 30.0, 19.0, 24.9),
         Row("steps", "1000", 70.0, 60.0, 19.2, 25.25),
     ]
-    lines = table(rows, np.array([True, False, True]), "standard").splitlines()
+    lines = table(rows, np.array([True, False, True]), np.array([True, True, True]), "standard").splitlines()
     assert lines[2] == "| preset | draft | 13.0 | 6.0 | 18.00 | 23.50 | -27.0 | -1.40 | yes |"
-    assert lines[3].endswith("| +0.0 | +0.00 |  |")
+    assert lines[3].endswith("| +0.0 | +0.00 | but for chance |")
     assert lines[4] == "| steps | 1000 | 70.0 | 60.0 | 19.20 | 25.25 | +30.0 | +0.35 | yes |"
     assert len({line.count("|") for line in lines}) == 1

@@ -240,7 +240,24 @@ def test_seconds_do_not_hang_on_when_a_knob_was_measured():
 def test_a_lucky_seed_is_not_on_the_front():
     values = [(PRESET, 40.0, 24.0), (SEED, 39.0, 25.0), ("steps", 13.0, 22.0), ("steps", 41.0, 23.0)]
     rows = [Row(knob, "", seconds, 0.0, 0.0, accuracy) for knob, seconds, accuracy in values]
-    assert on_front(rows).tolist() == [True, False, True, False]
+    front, near, chance = on_front(rows)
+    assert front.tolist() == near.tolist() == [True, False, True, False] and chance == 0.0
+
+
+def test_what_chance_decides_is_said():
+    values = [
+        ("steps", 30.0, 24.1),
+        (PRESET, 33.0, 24.05),
+        ("rays", 35.0, 23.9),
+        (SEED, 33.0, 24.05),
+        (SEED, 32.0, 23.95),
+    ]
+    front, near, chance = on_front(
+        [Row(knob, "", seconds, 0.0, 0.0, accuracy) for knob, seconds, accuracy in values]
+    )
+    assert front.tolist() == [True, False, False, False, False]
+    assert near.tolist() == [True, True, False, False, False]
+    assert chance == pytest.approx(0.1)
 
 
 def test_figure_is_a_small_picture(tmp_path):
@@ -250,7 +267,7 @@ def test_figure_is_a_small_picture(tmp_path):
         for s in settings(["draft", "standard", "high"], list(KNOBS[FIELD]), FIELD)
     ]
     pictures = []
-    for name, front in (("marked", on_front(rows)), ("plain", np.zeros(len(rows), bool))):
+    for name, front in (("marked", on_front(rows)[0]), ("plain", np.zeros(len(rows), bool))):
         draw(tmp_path / name / "figure.png", rows, front, "made up")
         assert (tmp_path / name / "figure.png").stat().st_size < 200_000
         pictures.append(read(tmp_path / name / "figure.png")[0])

@@ -52,14 +52,14 @@ COUNTED_SIDE = 256
 FEWEST_PHOTOS = (
     3  # that must see a point, or as many as see one at most: then light stays what it is taken for at first
 )
-#: Directions of light in the first steps; these steps; the last steps.
-COARSE, FIRST_STEPS, LAST_STEPS = 64, 9, 5
+#: Directions of light in the first steps; these steps; the last steps, of which five are as good without priors, but not with them.
+COARSE, FIRST_STEPS, LAST_STEPS = 64, 9, 7
 #: Steps after which photos may change their light, and how well another is to explain them for a light to be given up (see
 #: `regroup`): early on all explain badly, and photos of two lights that have become one do not part again.
 REGROUP = {3: 1.1, 5: 1.15, 7: 1.25}
 #: The step that sets the level, and how far it is believed: on seven rendered objects the true level goes with what it finds
 #: by a slope of 0.5.
-LEVEL_STEP, LEVEL_TRUST = 12, 0.55
+LEVEL_STEP, LEVEL_TRUST = 13, 0.55
 #: Steps from a cold start before sheen is modelled.
 WITHOUT_GLOSS = 2
 
