@@ -49,7 +49,7 @@ def pareto_front(seconds: np.ndarray, accuracy: np.ndarray) -> np.ndarray:
 def within_chance(seconds: np.ndarray, accuracy: np.ndarray, chance: float) -> np.ndarray:
     """(N,) bool: the points (N,) that would be on the front if they alone were more accurate by `chance`.
 
-    >>> within_chance(np.array([1.0, 2.0, 3.0]), np.array([20.0, 19.9, 19.8]), 0.1)
+    >>> within_chance(np.array([1.0, 2.0, 3.0]), np.array([20.0, 19.95, 19.8]), 0.1)
     array([ True,  True, False])
     """
     points = np.arange(len(seconds))
