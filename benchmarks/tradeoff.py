@@ -158,7 +158,7 @@ def main() -> None:
     print(
         f"{table(rows, front, near, BASE)}\n\nMeans over {names}; on {device}. `{BASE}` took {min(ranged):.1f} to "
         f"{max(ranged):.1f} s beside the {len(pace)} knobs, and seconds are by it. "
-        f"By chance, as seeds show, means move by {chance:.2f} dB. {sentence(facts)}"
+        f"Means of seeds that were run lie {chance:.2f} dB apart. {sentence(facts)}"
     )
     if len(rows) < len(wanted):
         print(
@@ -347,8 +347,8 @@ def paces(runs: Iterable[tuple[Setting, Sequence[Mapping[str, Any]]]]) -> dict[s
         for setting, found in runs
         if all(found) and setting.content() == dataclasses.replace(setting, changes={}, preset=BASE).content()
     }
-    mean = np.mean(list(of_base.values()))
-    return {knob: float(seconds / mean) for knob, seconds in of_base.items()}
+    mean = sum(of_base.values()) / max(len(of_base), 1)
+    return {knob: seconds / mean for knob, seconds in of_base.items()}
 
 
 def mean_row(setting: Setting, runs: Iterable[Mapping[str, Any]], pace: float) -> Row:

@@ -46,8 +46,8 @@ RELATIVE, ABSOLUTE = 0.04, 0.004
 #: Points that Gauss-Newton steps look at. More are no better: their neighbours, which are to be even, come nearer then, and nearer
 #: ones tell less (see `evenness`).
 POINTS = 2500
-#: Cells along either side of the texture whose points count once. Of smaller ones fewer photos see each, and less of it, but as many
-#: points tell no less of light: they count more.
+#: Cells along either side of the texture whose points count once. Smaller ones show fewer pixels each and weigh less (`_weights`), but
+#: as many of them tell no less of light: they count more.
 COUNTED_SIDE = 256
 FEWEST_PHOTOS = (
     3  # that must see a point, or as many as see one at most: then light stays what it is taken for at first
