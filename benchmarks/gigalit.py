@@ -68,7 +68,7 @@ def main() -> None:
         for row in made:
             results.append(rated(row, scene, relit, views, str(facts["commit"])))
             say(f"{scene.name}, {describe(row.method)}: {results[-1].albedo['PSNR']:.2f} dB")
-        if not options.rows.pattern:
+        if SHOWN.keys() <= {row.method.name for row in made}:
             sheet(options.out / f"{scene.name}.png", scene, made, relit)
     results = among(results, options.out / "gigalit.json")
     text = markdown(results, facts)
@@ -96,7 +96,7 @@ def parse() -> argparse.Namespace:
         "--rows",
         type=re.compile,
         default=re.compile(""),
-        help="a pattern of those to make; others stay as --out has them, no pictures",
+        help="a pattern of those to make; others stay as --out has them, and pictures where it leaves out any of theirs",
     )
     add("--hdris", type=Path, help="folder of the HDRIs; without it, DIR/../hdri or Blender's own")
     add("--relit-views", type=int, default=4, help="how many test views are relit, under each HDRI")
@@ -122,9 +122,8 @@ def relight(scene: Path, made: list[Made], views: Sequence[int], hdris: Path | N
             pictures.append(f"{method.slug}={priors_of(method, scene, result) / 'test'}")
         else:
             textures.append(f"{method.slug}={texture_of(method, scene, result)}")
-    arguments = [str(scene), "--out", str(out), "--views", *map(str, views), "--texture", *textures]
-    if pictures:
-        arguments += ["--pictures", *pictures]
+    arguments = [str(scene), "--out", str(out), "--views", *map(str, views)]
+    arguments += ["--texture", *textures, "--pictures", *pictures]
     if hdris is not None:
         arguments += ["--hdris", str(hdris)]
     blender("relight.py", arguments)

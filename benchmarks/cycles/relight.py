@@ -85,8 +85,8 @@ def main() -> None:
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("scene", type=Path)
-    parser.add_argument("--texture", nargs="+", default=[], metavar="NAME=FILE")
-    parser.add_argument("--pictures", nargs="+", default=[], metavar="NAME=FOLDER")
+    parser.add_argument("--texture", nargs="*", default=[], metavar="NAME=FILE")
+    parser.add_argument("--pictures", nargs="*", default=[], metavar="NAME=FOLDER")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--views", type=int, nargs="*", help="test views; without it, all")
     parser.add_argument("--hdris", type=Path, help="folder of the HDRIs; without it, Blender's own")
