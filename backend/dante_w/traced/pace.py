@@ -50,8 +50,8 @@ MANY_TRACED, MANY_EXPLAINED, MANY_MULTIPLIED, MANY_FACTORED, MANY_DIVIDED = 0.55
 #: Lights that photos have, if there are as many photos; what is not known until they are compared. Four objects under five
 #: lights end with 5 to 8.
 LIGHTS = 7
-#: Fits that a plan tries, with all first groups as lights, and one with a single light.
-TRIALS = 2
+#: Fits that a plan tries, with all first groups as lights, and with a single light.
+TRIALS, SINGLE_TRIALS = 3, 2
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
         return early * step(first, few, share) + (FIRST_STEPS - early) * step(lights, few, share) + regrouping
 
     first, lights = work.first_lights, work.lights
-    trials = TRIALS * solve(first, lights, 1.0 / ONE_IN) + solve(1, 1, 1.0 / ONE_IN)
+    trials = TRIALS * solve(first, lights, 1.0 / ONE_IN) + SINGLE_TRIALS * solve(1, 1, 1.0 / ONE_IN)
     fine = LAST_STEPS * step(lights, work.directions, 1.0)
     suns = 0.0
     if work.suns:

@@ -1,11 +1,14 @@
 """Which parts of the light a scene requires.
 
-Whether photos differ in light and in exposure is tried on held-out photos, with fits that cost little: few directions,
-a quarter of the points. Bounced light follows from the mesh alone. Gloss does not. Under one light held-out photos tell
-it: they are re-rendered 2.3 and 3.3 dB better with it (squares summed over photos) where it is worth
-4.5 and 1.7 dB of albedo (two rendered objects), and 1.1 dB worse where it darkens what lies in the shade (a real one). Under several lights they do not: on four rendered objects
-they wanted it off for two (by 0.7 and 1.9 dB) where it is worth 2 and 3 dB of albedo after gain, since an error of level, which
-they cannot tell, hurts more with it. All surfaces reflect at a grazing angle, so it is on there.
+Whether photos differ in light and in exposure and show gloss is tried on held-out photos, with fits that cost little: few
+directions, a quarter of the points. Bounced light follows from the mesh alone.
+
+Several lights and one are compared with gloss or without, whichever suits each: gloss that is not there hides how much
+better several lights are (a matte object: +0.2 dB with it, +14.8 without). Under one light held-out photos tell gloss:
+they are re-rendered 2.3 and 3.3 dB better with it (squares summed over photos) where it is worth 4.5 and 1.7 dB of
+albedo (two rendered objects), and 1.1 dB worse where it darkens what lies in the shade (a real one). Under several
+lights they tell it only where they are far worse with it: on four rendered objects they wanted it off for two (by 0.7
+and 1.9 dB) where it is worth 2 and 3 dB of albedo after gain, since an error of level, which they cannot tell, hurts more with it.
 """
 
 from __future__ import annotations
@@ -23,10 +26,12 @@ from dante_w.traced.shading_points import Observations, ShadingPoints
 from dante_w.traced.sun import PEAK, SPHERE, peaks
 from dante_w.traced.transfer import Transfer, coarser
 
-#: A part stays off if held-out photos gain no more than this by it, in dB; tried in this order, each without those that
-#: are off by then. Under one light, exposures that are all alike still gain half a dB, and are worth 0.04 dB of albedo; what
+#: A part stays off if held-out photos gain no more than this by it, in dB; tried in this order, exposures with what is
+#: modelled by then. Under one light, exposures that are all alike still gain half a dB, and are worth 0.04 dB of albedo; what
 #: gloss cannot tell moves photos by hundredths there.
 WORTH = {"groups": 1.0, "gloss": 0.3, "exposures": 1.0}
+#: What gloss is to gain instead under several lights, where all surfaces are taken to reflect at a grazing angle.
+WORTH_OF_GLOSS = -4.0
 #: One in this many points takes part in a trial.
 ONE_IN = 4
 #: Share of a point's light that comes from the mesh itself, from which on it is modelled, as a mean over points.
@@ -66,34 +71,38 @@ def choose_parts(
     shown = fewer.of(~np.isin(fewer.photo, held_out))
     bounced = float(transfer.weight.sum() + transfer.lost.sum()) / len(points)
     parts = replace(Parts(bounce=bounced >= BOUNCED), **{name: part.on for name, part in fixed.items()})
-    several = "groups" in fixed and parts.groups  # whose photos cannot tell gloss from the level of albedo
-    trials = [
-        name for name in WORTH if name not in fixed and len(held_out) and not (name == "gloss" and several)
-    ]
+    trials = [name for name in WORTH if name not in fixed and len(held_out)]
 
+    scores: dict[Parts, float] = {}
     counts: dict[Parts, int] = {}
     brightnesses: dict[Parts, float] = {}
 
     def score(trial: Parts) -> float:
-        lights = solve_lights(
-            points, transfer, shown, cameras, groups, seed, _ignore, trial, None, exposures, fine=False
-        )
-        counts[trial], brightnesses[trial] = len(lights.radiance), float(peaks(lights).max())
-        found = place(lights, points, few, fewer, cameras, held_out, trial)[1]
-        return -np.inf if found is None else found
+        if trial not in scores:
+            lights = solve_lights(
+                points, transfer, shown, cameras, groups, seed, _ignore, trial, None, exposures, fine=False
+            )
+            counts[trial], brightnesses[trial] = len(lights.radiance), float(peaks(lights).max())
+            found = place(lights, points, few, fewer, cameras, held_out, trial)[1]
+            scores[trial] = -np.inf if found is None else found
+        return scores[trial]
 
-    best = score(parts) if trials else -np.inf
-    if not np.isfinite(best):
-        trials = []
+    def best(trial: Parts) -> float:
+        """With gloss or without, where that is open."""
+        return max(score(trial), score(replace(trial, gloss=False)) if "gloss" in trials else -np.inf)
+
     gains: dict[str, float] = {}
     for done, name in enumerate(trials):
         progress(done + 1, len(trials) + 1)
-        if name == "gloss" and parts.groups:
-            continue
-        without = score(replace(parts, **{name: False}))
-        gains[name] = best - without
-        if gains[name] <= WORTH[name]:
-            parts, best = replace(parts, **{name: False}), without
+        without = replace(parts, **{name: False})
+        compared = best if name == "groups" else score
+        reached = compared(parts)
+        if not np.isfinite(reached):
+            break
+        gains[name] = reached - compared(without)
+        worth = WORTH_OF_GLOSS if name == "gloss" and parts.groups else WORTH[name]
+        if gains[name] <= worth:
+            parts = without
     progress(1, 1)
     lights = counts.get(parts, int(groups.max()) + 1 if parts.groups else 1)
     brightest = brightnesses.get(parts)
@@ -142,12 +151,12 @@ def _decision(
 ) -> Decision:
     if name in fixed:
         reason = fixed[name].reason
+    elif name == "gloss" and on and gains.get(name, np.inf) <= WORTH[name]:
+        reason = f"all surfaces reflect at a grazing angle, and held-out photos hardly tell ({gains[name]:+.1f} dB with it)"
     elif name in gains:
         reason = f"held-out photos are re-rendered {gains[name]:+.1f} dB with it"
     elif name == "bounce":
         reason = f"{100.0 * bounced:.0f}% of what points face is the mesh itself"
-    elif name == "gloss":
-        reason = "all surfaces reflect at a grazing angle, and photos cannot tell it from the level of albedo"
     elif name == "sun" and brightest is not None:
         reason = f"the brightest part of a light is {brightest:.0f} times as bright as the mean"
     else:
