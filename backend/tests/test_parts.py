@@ -66,7 +66,9 @@ def test_under_one_light_held_out_photos_tell_gloss(matte):
 @pytest.mark.parametrize("matte", [False, True])
 def test_under_several_lights_gloss_is_modelled_unless_photos_are_far_worse_with_it(matte):
     parts, said = planned(make_world(3, 0.35, matte=matte))
-    assert parts.groups and parts.gloss != matte
+    assert parts.groups
+    assert parts.gloss != matte
+    assert "dB" in said["gloss"].reason
 
 
 def test_what_the_user_says_stands():

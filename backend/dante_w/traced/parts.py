@@ -152,7 +152,7 @@ def _decision(
     if name in fixed:
         reason = fixed[name].reason
     elif name == "gloss" and on and gains.get(name, np.inf) <= WORTH[name]:
-        reason = f"all surfaces reflect at a grazing angle, and held-out photos hardly tell ({gains[name]:+.1f} dB with it)"
+        reason = f"all surfaces reflect at a grazing angle, and held-out photos hardly tell: {gains[name]:+.1f} dB with it"
     elif name in gains:
         reason = f"held-out photos are re-rendered {gains[name]:+.1f} dB with it"
     elif name == "bounce":
