@@ -53,7 +53,8 @@ class Made(NamedTuple):
 def main() -> None:
     options = parse()
     scenes = scenes_in(options.dir, options.objects)
-    rows = [row for row in methods(options.presets, options.priors) if options.rows.search(describe(row))]
+    every = list(methods(options.presets, options.priors))
+    rows, drawn = [row for row in every if options.rows.search(describe(row))], shown(every)
     facts = provenance()
     results = []
     for number, scene in enumerate(scenes, 1):
@@ -68,8 +69,10 @@ def main() -> None:
         for row in made:
             results.append(rated(row, scene, relit, views, str(facts["commit"])))
             say(f"{scene.name}, {describe(row.method)}: {results[-1].albedo['PSNR']:.2f} dB")
-        if SHOWN.keys() <= {row.method.name for row in made}:
-            sheet(options.out / f"{scene.name}.png", scene, made, relit)
+        if set(drawn) <= set(rows):
+            sheet(
+                options.out / f"{scene.name}.png", scene, [row for row in made if row.method in drawn], relit
+            )
     results = among(results, options.out / "gigalit.json")
     text = markdown(results, facts)
     print(text)
@@ -96,7 +99,7 @@ def parse() -> argparse.Namespace:
         "--rows",
         type=re.compile,
         default=re.compile(""),
-        help="a pattern of those to make; others stay as --out has them, and pictures where it leaves out any of theirs",
+        help="a pattern of those to make; others stay as --out has them, and pictures if it leaves out one of theirs",
     )
     add("--hdris", type=Path, help="folder of the HDRIs; without it, DIR/../hdri or Blender's own")
     add("--relit-views", type=int, default=4, help="how many test views are relit, under each HDRI")
@@ -145,16 +148,20 @@ def rated(row: Made, scene: Path, relit: Path, views: Sequence[int], commit: str
     return Row(scene.name, method.name, method.prior, seconds, scores["albedo"], scores["relit"], commit)
 
 
+def shown(rows: Sequence[Method]) -> list[Method]:
+    """Those worth looking at, without a prior and with the first one."""
+    first = next((row.prior for row in rows if row.prior != NO_PRIOR), NO_PRIOR)
+    return [row for row in rows if row.name in SHOWN and row.prior in (NO_PRIOR, first)]
+
+
 def sheet(file: Path, scene: Path, made: list[Made], relit: Path) -> None:
-    """Draw the first test view of the rows worth looking at, without a prior and with one."""
+    """Draw the first test view of the rows."""
     columns, truth, relit_truth = [], None, None
-    priors = list(dict.fromkeys(method.prior for method, _, _ in made if method.prior != NO_PRIOR))
     for method, out, _ in made:
-        if method.name in SHOWN and method.prior in (NO_PRIOR, *priors[:1]):
-            truth, lit = _albedo(method, scene, out)[0], _relit(method, scene, relit, [0])[0]
-            relit_truth = lit.truth
-            note = "no prior" if method.prior == NO_PRIOR else "stand-in prior"
-            columns.append(Column(SHOWN[method.name], note, truth.picture, lit.picture))
+        truth, lit = _albedo(method, scene, out)[0], _relit(method, scene, relit, [0])[0]
+        relit_truth = lit.truth
+        note = "no prior" if method.prior == NO_PRIOR else "stand-in prior"
+        columns.append(Column(SHOWN[method.name], note, truth.picture, lit.picture))
     if truth is not None and relit_truth is not None:
         write_sheet(file, truth, relit_truth, columns)
 

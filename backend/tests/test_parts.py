@@ -33,7 +33,8 @@ def planned(world: World, **chosen: bool) -> tuple[Parts, dict[str, Decision]]:
         lambda done, total: said.append(done / total),
     )
     assert said == sorted(said) and said[-1] == 1.0
-    assert 1 <= lights <= len(world.cameras) and (lights == 1 or parts.groups)
+    assert (lights > 1) == parts.groups or chosen.get("groups")
+    assert 1 <= lights <= len(world.cameras)
     assert [decision.what for decision in decisions] == list(vars(Parts()))
     assert all(decision.choice and decision.reason and decision.costs for decision in decisions)
     return parts, {decision.what: decision for decision in decisions}
@@ -69,6 +70,14 @@ def test_under_several_lights_gloss_is_modelled_unless_photos_are_far_worse_with
     assert parts.groups
     assert parts.gloss != matte
     assert "dB" in said["gloss"].reason
+
+
+def test_under_several_lights_gloss_stays_where_photos_hardly_tell(monkeypatch):
+    monkeypatch.setattr("dante_w.traced.parts.WORTH_OF_GLOSS", -100.0)
+    parts, said = planned(make_world(3, 0.35, matte=True))
+    assert parts.groups
+    assert parts.gloss
+    assert "hardly tell: -" in said["gloss"].reason
 
 
 def test_what_the_user_says_stands():

@@ -30,7 +30,8 @@ from dante_w.traced.transfer import Transfer, coarser
 #: modelled by then. Under one light, exposures that are all alike still gain half a dB, and are worth 0.04 dB of albedo; what
 #: gloss cannot tell moves photos by hundredths there.
 WORTH = {"groups": 1.0, "gloss": 0.3, "exposures": 1.0}
-#: What gloss is to gain instead under several lights, where all surfaces are taken to reflect at a grazing angle.
+#: What gloss is to gain instead under several lights, where all surfaces are taken to reflect at a grazing angle: photos
+#: wanted it off wrongly by up to 1.9 dB, and rightly by 16.6.
 WORTH_OF_GLOSS = -4.0
 #: One in this many points takes part in a trial.
 ONE_IN = 4
@@ -79,6 +80,7 @@ def choose_parts(
 
     def score(trial: Parts) -> float:
         if trial not in scores:
+            progress(len(scores) + 1, 2 * len(trials) + 1)
             lights = solve_lights(
                 points, transfer, shown, cameras, groups, seed, _ignore, trial, None, exposures, fine=False
             )
@@ -92,8 +94,7 @@ def choose_parts(
         return max(score(trial), score(replace(trial, gloss=False)) if "gloss" in trials else -np.inf)
 
     gains: dict[str, float] = {}
-    for done, name in enumerate(trials):
-        progress(done + 1, len(trials) + 1)
+    for name in trials:
         without = replace(parts, **{name: False})
         compared = best if name == "groups" else score
         reached = compared(parts)

@@ -17,7 +17,7 @@ from dante_w.traced.robust import medians
 from dante_w.traced.shading_points import ShadingPoints, located
 
 #: What the priors of a point tell, in photos that see it (see `KnownAlbedo`), and the views from which it tells as much.
-#: With more, the shading that all views of a prior share pulls light along (docs/accuracy.md).
+#: Chosen by albedo, with stand-in priors (docs/accuracy.md).
 TRUST, ENOUGH_VIEWS = 0.05, 4
 #: Linear albedo below this says only that it is dark.
 DARKEST = 3e-3
