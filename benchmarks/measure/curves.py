@@ -52,7 +52,7 @@ def draw(file: Path, rows: Sequence[Row], front: np.ndarray, title: str) -> None
         ylabel="albedo PSNR after one gain per channel, dB",
         title=title,
     )
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.margins(0.1, 0.12)
