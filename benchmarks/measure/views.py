@@ -130,6 +130,6 @@ def viewer_of(result: Path, scene: Path) -> Viewer:
     return _viewer(own if own.is_file() else scene / "mesh.obj", scene)
 
 
-@lru_cache(maxsize=4)  # as many objects as `tradeoff` takes in turn here; some 0.2 GB each
+@lru_cache(maxsize=4)  # objects, which `tradeoff` takes in turn
 def _viewer(mesh_file: Path, scene: Path) -> Viewer:
     return Viewer(mesh_file, read_scene(scene / "transforms_test.json").frames)
