@@ -27,7 +27,7 @@ from dante_w.traced.lights import (
     explain,
     observed_sheen,
 )
-from dante_w.traced.parts import ONE_IN
+from dante_w.traced.parts import AGAIN, ONE_IN
 from dante_w.traced.shading_points import PHOTOS, Observations, ShadingPoints, gather
 from dante_w.traced.sun import STEPS as SUN_STEPS
 from dante_w.traced.transfer import Transfer, sphere, trace_transfer
@@ -50,8 +50,6 @@ MANY_TRACED, MANY_EXPLAINED, MANY_MULTIPLIED, MANY_FACTORED, MANY_DIVIDED = 0.55
 #: Lights that photos have, if there are as many photos; what is not known until they are compared. Four objects under five
 #: lights end with 5 to 8.
 LIGHTS = 7
-#: Fits that a plan tries, with all first groups as lights, and with a single light.
-TRIALS, SINGLE_TRIALS = 3, 2
 
 
 @dataclass(frozen=True)
@@ -170,7 +168,9 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
         return early * step(first, few, share) + (FIRST_STEPS - early) * step(lights, few, share) + regrouping
 
     first, lights = work.first_lights, work.lights
-    trials = TRIALS * solve(first, lights, 1.0 / ONE_IN) + SINGLE_TRIALS * solve(1, 1, 1.0 / ONE_IN)
+    # several lights and one from the start, without gloss from there, and one of these without exposures
+    trials = solve(first, lights, 1.0 / ONE_IN) + solve(1, 1, 1.0 / ONE_IN)
+    trials += AGAIN * (2.0 * step(lights, few, 1.0 / ONE_IN) + step(1, few, 1.0 / ONE_IN))
     fine = LAST_STEPS * step(lights, work.directions, 1.0)
     suns = 0.0
     if work.suns:

@@ -1,7 +1,8 @@
 """Which parts of the light a scene requires.
 
 Whether photos differ in light and in exposure and show gloss is tried on held-out photos, with fits that cost little: few
-directions, a quarter of the points. Bounced light follows from the mesh alone.
+directions, a quarter of the points; several lights and one from the start, what is tried after that by a few last steps from
+the fit that has it. Bounced light follows from the mesh alone.
 
 Several lights and one are compared with gloss or without, whichever suits each: gloss that is not there hides how much
 better several lights are (a matte object: +0.2 dB with it, +14.8 without). Under one light held-out photos tell gloss:
@@ -21,7 +22,7 @@ import numpy as np
 from dante_w.model.held_out import choose_held_out
 from dante_w.plan import YOU_CHOSE, Decision
 from dante_w.traced.held_out import place
-from dante_w.traced.lights import COARSE, Parts, solve_lights
+from dante_w.traced.lights import COARSE, FIRST_STEPS, Evidence, Lights, Parts, evidence, refine, solve_lights
 from dante_w.traced.shading_points import Observations, ShadingPoints
 from dante_w.traced.sun import PEAK, SPHERE, peaks
 from dante_w.traced.transfer import Transfer, coarser
@@ -33,8 +34,8 @@ WORTH = {"groups": 1.0, "gloss": 0.3, "exposures": 1.0}
 #: What gloss is to gain instead under several lights, where all surfaces are taken to reflect at a grazing angle: photos
 #: wanted it off wrongly by up to 1.9 dB, and rightly by 16.6.
 WORTH_OF_GLOSS = -4.0
-#: One in this many points takes part in a trial.
-ONE_IN = 4
+#: One in this many points takes part in a trial, and steps by which a fit is brought to a part less.
+ONE_IN, AGAIN = 4, 3
 #: Share of a point's light that comes from the mesh itself, from which on it is modelled, as a mean over points.
 BOUNCED = 0.02
 
@@ -75,38 +76,53 @@ def choose_parts(
     trials = [name for name in WORTH if name not in fixed and len(held_out)]
 
     scores: dict[Parts, float] = {}
-    counts: dict[Parts, int] = {}
-    brightnesses: dict[Parts, float] = {}
+    fits: dict[Parts, Lights] = {}
 
-    def score(trial: Parts) -> float:
+    def score(trial: Parts, begun: Parts | None = None) -> float:
+        """By a fit from the start, or from one that has `begun`."""
         if trial not in scores:
             progress(len(scores) + 1, 2 * len(trials) + 1)
-            lights = solve_lights(
-                points, transfer, shown, cameras, groups, seed, _ignore, trial, None, exposures, fine=False
-            )
-            counts[trial], brightnesses[trial] = len(lights.radiance), float(peaks(lights).max())
+            if begun is None:
+                lights = solve_lights(
+                    points,
+                    transfer,
+                    shown,
+                    cameras,
+                    groups,
+                    seed,
+                    _ignore,
+                    trial,
+                    None,
+                    exposures,
+                    fine=False,
+                )
+            else:
+                of = evidence(points, shown, cameras, trial, None, exposures)
+                start, steps = _exposed(fits[begun], of), range(FIRST_STEPS - AGAIN, FIRST_STEPS)
+                lights = refine(start, few, of, seed, steps, lambda _: None)
+            fits[trial] = lights
             found = place(lights, points, few, fewer, cameras, held_out, trial)[1]
             scores[trial] = -np.inf if found is None else found
         return scores[trial]
 
     def best(trial: Parts) -> float:
         """With gloss or without, where that is open."""
-        return max(score(trial), score(replace(trial, gloss=False)) if "gloss" in trials else -np.inf)
+        return max(score(trial), score(replace(trial, gloss=False), trial) if "gloss" in trials else -np.inf)
 
     gains: dict[str, float] = {}
     for name in trials:
         without = replace(parts, **{name: False})
-        compared = best if name == "groups" else score
-        reached = compared(parts)
+        reached = best(parts) if name == "groups" else score(parts)
         if not np.isfinite(reached):
             break
-        gains[name] = reached - compared(without)
+        gains[name] = reached - (best(without) if name == "groups" else score(without, parts))
         worth = WORTH_OF_GLOSS if name == "gloss" and parts.groups else WORTH[name]
         if gains[name] <= worth:
             parts = without
     progress(1, 1)
-    lights = counts.get(parts, int(groups.max()) + 1 if parts.groups else 1)
-    brightest = brightnesses.get(parts)
+    fit = fits.get(parts)
+    lights = len(fit.radiance) if fit else int(groups.max()) + 1 if parts.groups else 1
+    brightest = float(peaks(fit).max()) if fit else None
     if brightest is not None and "sun" not in fixed:
         parts = replace(parts, sun=brightest >= PEAK * COARSE / SPHERE)
     decisions = [
@@ -117,6 +133,22 @@ def choose_parts(
 
 def _ignore(step: int, steps: int) -> None:
     pass
+
+
+def _exposed(lights: Lights, of: Evidence) -> Lights:
+    """The lights with exposures as expected where these are not modelled; what photos of one light lose by that, it takes up."""
+    if of.parts.exposures:
+        return lights
+    count = len(lights.radiance)
+    photos = np.maximum(np.bincount(lights.light, minlength=count), 1)
+    lost = np.bincount(lights.light, lights.log_exposure - of.expected.mean, count) / photos
+    brighter = np.exp(lost).astype(np.float32)[:, None]
+    return replace(
+        lights,
+        radiance=lights.radiance * brighter[:, None],
+        bounce=lights.bounce * brighter,
+        log_exposure=of.expected.mean.astype(np.float64),
+    )
 
 
 _COSTS = {
