@@ -45,7 +45,7 @@ from dante_w.stages import (
     say_plan,
     write_report,
 )
-from dante_w.traced.lights import Parts
+from dante_w.traced.lights import Lights, Parts
 from dante_w.traced.pace import TracedPace, TracedWork, measure_traced, predict_traced
 from dante_w.traced.parts import Fixed, choose_parts
 from dante_w.traced.solve import Traced, examine, recover_albedo
@@ -70,7 +70,9 @@ def recover_traced(options: argparse.Namespace, staging: Path, progress: Progres
     check_exposed(scene, cache)
     of, planned, plan = _plan(options, begun, cache, DIRECTIONS[options.preset], progress, kept)
     progress.expect(_to_come(begun, cache, of, planned))
-    texture, facts = recover_albedo(of, cache, mesh, size, planned.parts, options.seed, progress, kept)
+    texture, facts = recover_albedo(
+        of, cache, mesh, size, planned.parts, planned.begun, options.seed, progress, kept
+    )
     texels = nearest(texture)
     gain = known_gain(texels, coverage, options.known)
     covered = bake_files(nearest(texture * gain), mesh, coverage, options.format, staging, progress)
@@ -150,7 +152,13 @@ def _start(options: argparse.Namespace, staging: Path, progress: Progress) -> _B
 class _Planned:
     parts: Parts
     decisions: list[Decision]
-    lights: int
+    begun: Lights | None
+
+    def lights(self, of: Traced) -> int:
+        """How many to expect."""
+        if self.begun:
+            return len(self.begun.radiance)
+        return int(of.groups.max()) + 1 if self.parts.groups else 1
 
 
 def _plan(
@@ -192,7 +200,7 @@ def _plan(
         normals(begun.mesh.normals is not None),
         directions(DIRECTIONS[options.preset], options.preset, len(of.points)),
         samples(len(cache), pixels(begun.scene.frames), cache.prior is not None),
-        _memory(options, begun, cache, of, planned.lights),
+        _memory(options, begun, cache, of, planned.lights(of)),
         time(seconds),
         *planned.decisions,
     ]
@@ -214,7 +222,7 @@ def _to_come(begun: _Begun, cache: RayCache, of: Traced, planned: _Planned) -> d
         samples=len(cache),
         points=len(of.points),
         observations=len(of.seen.point),
-        lights=planned.lights,
+        lights=planned.lights(of),
         suns=planned.parts.sun,
     )
     return predict_traced(begun.pace, work) | begun.later

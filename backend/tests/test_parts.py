@@ -21,7 +21,7 @@ def few_directions(monkeypatch):
 
 def planned(world: World, **chosen: bool) -> tuple[Parts, dict[str, Decision]]:
     said: list[float] = []
-    parts, decisions, lights = choose_parts(
+    parts, decisions, begun = choose_parts(
         world.cameras,
         world.points,
         world.seen,
@@ -33,8 +33,9 @@ def planned(world: World, **chosen: bool) -> tuple[Parts, dict[str, Decision]]:
         lambda done, total: said.append(done / total),
     )
     assert said == sorted(said) and said[-1] == 1.0
-    assert (lights > 1) == parts.groups or chosen.get("groups")
-    assert 1 <= lights <= len(world.cameras)
+    if begun:
+        assert (len(begun.radiance) > 1) == parts.groups or chosen.get("groups")
+        assert len(begun.radiance) <= len(world.cameras)
     assert [decision.what for decision in decisions] == list(vars(Parts()))
     assert all(decision.choice and decision.reason and decision.costs for decision in decisions)
     return parts, {decision.what: decision for decision in decisions}

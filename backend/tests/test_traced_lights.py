@@ -74,6 +74,28 @@ def test_albedo_is_recovered_up_to_a_gain(world, found):
     assert found.top == pytest.approx(TOP, rel=0.05), "as in the world: sheen tells"
 
 
+def test_lights_go_on_from_a_fit_of_fewer_observations(world, found):
+    begun = solved(world, world.seen.of(world.seen.point % 4 == 0), fine=False)
+    assert begun.known.mean() < 0.3
+    again = solved(world, begun=begun)
+    assert_finite(again)
+    assert (again.known == found.known).all()
+    assert albedo_error(world, again) < 0.03
+    assert len(again.radiance) == len(begun.radiance) == LIGHTS
+
+
+def test_a_fit_goes_on_without_exposures():
+    """Which were free, so that lights now have to take up their levels."""
+    world = make_world(exposures=0.0)
+    begun = solved(world, fine=False)
+    begun = dataclasses.replace(
+        begun, log_exposure=begun.log_exposure + 1.0, radiance=begun.radiance / np.float32(np.e)
+    )
+    again = solved(world, begun=begun, parts=Parts(exposures=False))
+    assert np.ptp(again.log_exposure) < 0.01
+    assert albedo_error(world, again) < 0.03 and not again.setbacks
+
+
 @pytest.mark.parametrize(("sides", "counts"), [(2, 1.0), (1, 1.0), (0.5, 2.0)])
 def test_points_of_smaller_cells_count_more(world, monkeypatch, sides, counts):
     seen: set[float] = set()

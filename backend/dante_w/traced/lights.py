@@ -60,8 +60,9 @@ REGROUP = {3: 1.1, 5: 1.15, 7: 1.25}
 #: The step that sets the level, and how far it is believed: on seven rendered objects the true level goes with what it finds
 #: by a slope of 0.5.
 LEVEL_STEP, LEVEL_TRUST = 13, 0.55
-#: Steps from a cold start before sheen is modelled.
-WITHOUT_GLOSS = 2
+#: How many of the first steps are taken again from a fit of other parts or fewer observations; steps from a cold start before
+#: sheen is modelled.
+AGAIN, WITHOUT_GLOSS = 3, 2
 
 
 @dataclass(frozen=True)
@@ -164,12 +165,14 @@ def solve_lights(
     parts: Parts = Parts(),
     prior: KnownAlbedo | None = None,
     known_exposure: np.ndarray | None = None,
+    begun: Lights | None = None,
     fine: bool = True,
 ) -> Lights:
     """Find the lights that explain the photos, but for suns. Arguments as of `evidence`, and
 
     Args:
         light: (K,) a first guess of which photos share a light, rather too many lights than too few.
+        begun: lights of `COARSE` directions to go on from, of other parts or fewer observations.
         fine: whether to take the last steps; without them, lights have `COARSE` directions.
 
     Raises:
@@ -184,22 +187,50 @@ def solve_lights(
             "No part of the mesh is well exposed and in the light, which traced light needs; "
             "add photos or take --irradiance field."
         )
-    exposure = (
-        _first_exposures(seen, of.weight, len(light)) if of.free else of.expected.mean.astype(np.float64)
-    )
-    light = light if parts.groups else np.zeros_like(light)
-
     few, part_of = coarser(transfer, COARSE)
-    sky = np.exp(0.3 * few.directions[:, 2])  # a little more light from above
-    radiance = np.tile(sky[None, :, None], (light.max() + 1, 1, 3)).astype(np.float32)
-    bounce = np.zeros((count, len(radiance), 3), np.float32)
-    start = Lights(radiance, light, exposure, bounce, np.zeros((count, 3), np.float32), known)
+    if begun:
+        start, first = _exposed(begun, of), FIRST_STEPS - AGAIN
+    else:
+        start, first = _even_sky(few, of, light if parts.groups else np.zeros_like(light)), 0
+    start = replace(start, albedo=np.zeros((count, 3), np.float32), known=known, setbacks=())
     steps = FIRST_STEPS + (LAST_STEPS if fine else 0)
-    lights = refine(start, few, of, seed, range(FIRST_STEPS), lambda done: progress(done, steps))
+
+    def told(done: int) -> None:
+        progress(done - first, steps - first)
+
+    lights = refine(start, few, of, seed, range(first, FIRST_STEPS), told)
     if not fine:
         return lights
     lights = replace(lights, radiance=lights.radiance[:, part_of])
-    return refine(lights, transfer, of, seed, range(FIRST_STEPS, steps), lambda done: progress(done, steps))
+    return refine(lights, transfer, of, seed, range(FIRST_STEPS, steps), told)
+
+
+def _even_sky(few: Transfer, of: Evidence, light: np.ndarray) -> Lights:
+    """The same for every light: a little more from above; exposures by the photos' brightness."""
+    count = len(of.points)
+    sky = np.exp(0.3 * few.directions[:, 2])
+    radiance = np.tile(sky[None, :, None], (light.max() + 1, 1, 3)).astype(np.float32)
+    exposure = (
+        _first_exposures(of.seen, of.weight, len(light)) if of.free else of.expected.mean.astype(np.float64)
+    )
+    bounce = np.zeros((count, len(radiance), 3), np.float32)
+    return Lights(radiance, light, exposure, bounce, np.zeros((count, 3), np.float32), np.zeros(count, bool))
+
+
+def _exposed(lights: Lights, of: Evidence) -> Lights:
+    """With exposures as expected where these are not modelled; what photos of one light lose by that on average, it takes up."""
+    if of.parts.exposures:
+        return lights
+    count = len(lights.radiance)
+    photos = np.maximum(np.bincount(lights.light, minlength=count), 1)
+    lost = np.bincount(lights.light, lights.log_exposure - of.expected.mean, count) / photos
+    brighter = np.exp(lost).astype(np.float32)[:, None]
+    return replace(
+        lights,
+        radiance=lights.radiance * brighter[:, None],
+        bounce=lights.bounce * brighter,
+        log_exposure=of.expected.mean.astype(np.float64),
+    )
 
 
 def refine(

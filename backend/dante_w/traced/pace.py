@@ -17,6 +17,7 @@ from dante_w.texture.average import PhotoAverage
 from dante_w.traced.albedo import albedo_texture
 from dante_w.traced.groups import GROUPS
 from dante_w.traced.lights import (
+    AGAIN,
     COARSE,
     FIRST_STEPS,
     LAST_STEPS,
@@ -27,7 +28,7 @@ from dante_w.traced.lights import (
     explain,
     observed_sheen,
 )
-from dante_w.traced.parts import AGAIN, ONE_IN
+from dante_w.traced.parts import ONE_IN
 from dante_w.traced.shading_points import PHOTOS, Observations, ShadingPoints, gather
 from dante_w.traced.sun import STEPS as SUN_STEPS
 from dante_w.traced.transfer import Transfer, sphere, trace_transfer
@@ -162,16 +163,18 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
         explained = share * observations * (MANY_EXPLAINED * pace.explain + directions * pace.shine)
         return equations + explained + work.points * pace.level + PAIRED * chosen * pace.explain
 
-    def solve(first: int, lights: int, share: float) -> float:
-        early = min(REGROUP) + 1
+    def tried(first: int, lights: int) -> float:
+        """All first steps, as the plan takes them."""
+        early, share = min(REGROUP) + 1, 1.0 / ONE_IN
         regrouping = len(REGROUP) * first * share * observations * pace.explain / LIGHTS
         return early * step(first, few, share) + (FIRST_STEPS - early) * step(lights, few, share) + regrouping
 
     first, lights = work.first_lights, work.lights
     # several lights and one from the start, without gloss from there, and one of these without exposures
-    trials = solve(first, lights, 1.0 / ONE_IN) + solve(1, 1, 1.0 / ONE_IN)
+    trials = tried(first, lights) + tried(1, 1)
     trials += AGAIN * (2.0 * step(lights, few, 1.0 / ONE_IN) + step(1, few, 1.0 / ONE_IN))
-    fine = LAST_STEPS * step(lights, work.directions, 1.0)
+    # lights go on from the plan's
+    fine = AGAIN * step(lights, few, 1.0) + LAST_STEPS * step(lights, work.directions, 1.0)
     suns = 0.0
     if work.suns:
         suns = lights * SEARCHED * work.points * pace.explain
@@ -179,7 +182,7 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
     return {
         "transfer": work.samples * pace.gather + work.points * pace.trace * MANY_TRACED,
         "plan": trials,
-        "lights": solve(first, lights, 1.0) + fine + suns,
+        "lights": fine + suns,
         "albedo": work.samples * pace.albedo * MANY_DIVIDED + work.texels * pace.fill,
     }
 

@@ -22,7 +22,7 @@ import numpy as np
 from dante_w.model.held_out import choose_held_out
 from dante_w.plan import YOU_CHOSE, Decision
 from dante_w.traced.held_out import place
-from dante_w.traced.lights import COARSE, FIRST_STEPS, Evidence, Lights, Parts, evidence, refine, solve_lights
+from dante_w.traced.lights import COARSE, Lights, Parts, solve_lights
 from dante_w.traced.shading_points import Observations, ShadingPoints
 from dante_w.traced.sun import PEAK, SPHERE, peaks
 from dante_w.traced.transfer import Transfer, coarser
@@ -34,8 +34,8 @@ WORTH = {"groups": 1.0, "gloss": 0.3, "exposures": 1.0}
 #: What gloss is to gain instead under several lights, where all surfaces are taken to reflect at a grazing angle: photos
 #: wanted it off wrongly by up to 1.9 dB, and rightly by 16.6.
 WORTH_OF_GLOSS = -4.0
-#: One in this many points takes part in a trial, and steps by which a fit is brought to a part less.
-ONE_IN, AGAIN = 4, 3
+#: One in this many points takes part in a trial.
+ONE_IN = 4
 #: Share of a point's light that comes from the mesh itself, from which on it is modelled, as a mean over points.
 BOUNCED = 0.02
 
@@ -58,8 +58,8 @@ def choose_parts(
     fixed: Mapping[str, Fixed],
     seed: int,
     progress: Callable[[int, int], None],
-) -> tuple[Parts, list[Decision], int]:
-    """Decide what to model; returns also how many lights to expect.
+) -> tuple[Parts, list[Decision], Lights | None]:
+    """Decide what to model; returns also the lights that were found with it, if it was tried, of `COARSE` directions.
 
     Args:
         exposures: (K,) log exposures from the photos' files, if they tell.
@@ -82,25 +82,8 @@ def choose_parts(
         """By a fit from the start, or from one that has `begun`."""
         if trial not in scores:
             progress(len(scores) + 1, 2 * len(trials) + 1)
-            if begun is None:
-                lights = solve_lights(
-                    points,
-                    transfer,
-                    shown,
-                    cameras,
-                    groups,
-                    seed,
-                    _ignore,
-                    trial,
-                    None,
-                    exposures,
-                    fine=False,
-                )
-            else:
-                of = evidence(points, shown, cameras, trial, None, exposures)
-                start, steps = _exposed(fits[begun], of), range(FIRST_STEPS - AGAIN, FIRST_STEPS)
-                lights = refine(start, few, of, seed, steps, lambda _: None)
-            fits[trial] = lights
+            shared = points, transfer, shown, cameras, groups, seed, _ignore, trial, None, exposures
+            fits[trial] = lights = solve_lights(*shared, fits[begun] if begun else None, fine=False)
             found = place(lights, points, few, fewer, cameras, held_out, trial)[1]
             scores[trial] = -np.inf if found is None else found
         return scores[trial]
@@ -121,34 +104,17 @@ def choose_parts(
             parts = without
     progress(1, 1)
     fit = fits.get(parts)
-    lights = len(fit.radiance) if fit else int(groups.max()) + 1 if parts.groups else 1
     brightest = float(peaks(fit).max()) if fit else None
     if brightest is not None and "sun" not in fixed:
         parts = replace(parts, sun=brightest >= PEAK * COARSE / SPHERE)
     decisions = [
         _decision(name, getattr(parts, name), fixed, gains, bounced, brightest) for name in vars(Parts())
     ]
-    return parts, decisions, lights
+    return parts, decisions, fit
 
 
 def _ignore(step: int, steps: int) -> None:
     pass
-
-
-def _exposed(lights: Lights, of: Evidence) -> Lights:
-    """The lights with exposures as expected where these are not modelled; what photos of one light lose by that, it takes up."""
-    if of.parts.exposures:
-        return lights
-    count = len(lights.radiance)
-    photos = np.maximum(np.bincount(lights.light, minlength=count), 1)
-    lost = np.bincount(lights.light, lights.log_exposure - of.expected.mean, count) / photos
-    brighter = np.exp(lost).astype(np.float32)[:, None]
-    return replace(
-        lights,
-        radiance=lights.radiance * brighter[:, None],
-        bounce=lights.bounce * brighter,
-        log_exposure=of.expected.mean.astype(np.float64),
-    )
 
 
 _COSTS = {

@@ -86,13 +86,14 @@ def recover_albedo(
     mesh: Mesh,
     size: int,
     parts: Parts,
+    begun: Lights | None,
     seed: int,
     progress: Progress,
     kept: Checkpoints | None = None,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """The albedo (size, size, 3), float32 and linear, and facts for the report.
 
-    Lights are solved without the held-out photos; these then get the light and exposure that fit them best, and
+    Lights go on from those that the plan has `begun`, without the held-out photos; these then get the light and exposure that fit them best, and
     give their colour to the texture like all others.
     """
     assert cache.footprint is not None
@@ -115,6 +116,7 @@ def recover_albedo(
             parts,
             of.prior,
             of.exposures,
+            begun,
         )
         transfer = of.transfer
         if caster:
