@@ -32,7 +32,7 @@ class Quality:
 #: measured.
 QUALITY: dict[str, dict[str, Quality | None]] = {
     "traced": {
-        "draft": Quality(29.3, 26.9, 32.4),
+        "draft": Quality(29.6, 27.1, 32.4),
         "standard": Quality(30.8, 28.3, 34.2),
         "high": Quality(31.1, 27.8, 34.5),
         "paper": None,

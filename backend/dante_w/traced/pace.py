@@ -56,7 +56,7 @@ LIGHTS = 7
 @dataclass(frozen=True)
 class TracedWork:
     """How much is to be done: photos, their samples, shading points, observations of these, directions of light, lights at
-    first and in the end, and texels; and whether suns are looked for."""
+    first and in the end, and texels; whether suns are looked for, and whether lights go on from the plan's."""
 
     photos: int
     samples: float
@@ -67,6 +67,7 @@ class TracedWork:
     lights: int
     texels: int
     suns: bool
+    goes_on: bool
 
 
 @dataclass(frozen=True)
@@ -87,11 +88,18 @@ class TracedPace:
 
 
 def measure_traced(
-    sample: Sample, photos: int, pixels: int, directions: int, texels: int, suns: bool, finer: int = 1
+    sample: Sample,
+    photos: int,
+    pixels: int,
+    directions: int,
+    texels: int,
+    suns: bool,
+    goes_on: bool,
+    finer: int = 1,
 ) -> tuple[TracedPace, TracedWork]:
     """Do a little of everything and time it, in less than a second once kernels are loaded; and how much there is to do with
-    all the `photos`, their `pixels`, so many `directions` of light and `texels`, `suns` or none, and shading points as much
-    `finer` as `gather` has them."""
+    all the `photos`, their `pixels`, so many `directions` of light and `texels`, `suns` or none, lights that go on from the
+    plan's or not (`goes_on`), and shading points as much `finer` as `gather` has them."""
     cache = _first(sample.cache, len(sample.cache))
     cameras = np.full((len(cache.starts) - 1, 3), 3.0)  # any place will do
     gather(_first(cache, FEW), cameras)
@@ -145,6 +153,7 @@ def measure_traced(
         lights=min(LIGHTS, photos),
         texels=texels,
         suns=suns,
+        goes_on=goes_on,
     )
     return pace, work
 
@@ -163,18 +172,18 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
         explained = share * observations * (MANY_EXPLAINED * pace.explain + directions * pace.shine)
         return equations + explained + work.points * pace.level + PAIRED * chosen * pace.explain
 
-    def tried(first: int, lights: int) -> float:
-        """All first steps, as the plan takes them."""
-        early, share = min(REGROUP) + 1, 1.0 / ONE_IN
+    def solve(first: int, lights: int, share: float) -> float:
+        """All first steps."""
+        early = min(REGROUP) + 1
         regrouping = len(REGROUP) * first * share * observations * pace.explain / LIGHTS
         return early * step(first, few, share) + (FIRST_STEPS - early) * step(lights, few, share) + regrouping
 
     first, lights = work.first_lights, work.lights
     # several lights and one from the start, without gloss from there, and one of these without exposures
-    trials = tried(first, lights) + tried(1, 1)
+    trials = solve(first, lights, 1.0 / ONE_IN) + solve(1, 1, 1.0 / ONE_IN)
     trials += AGAIN * (2.0 * step(lights, few, 1.0 / ONE_IN) + step(1, few, 1.0 / ONE_IN))
-    # lights go on from the plan's
-    fine = AGAIN * step(lights, few, 1.0) + LAST_STEPS * step(lights, work.directions, 1.0)
+    coarse = AGAIN * step(lights, few, 1.0) if work.goes_on else solve(first, lights, 1.0)
+    fine = LAST_STEPS * step(lights, work.directions, 1.0)
     suns = 0.0
     if work.suns:
         suns = lights * SEARCHED * work.points * pace.explain
@@ -182,7 +191,7 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
     return {
         "transfer": work.samples * pace.gather + work.points * pace.trace * MANY_TRACED,
         "plan": trials,
-        "lights": fine + suns,
+        "lights": coarse + fine + suns,
         "albedo": work.samples * pace.albedo * MANY_DIVIDED + work.texels * pace.fill,
     }
 

@@ -93,8 +93,8 @@ def recover_albedo(
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """The albedo (size, size, 3), float32 and linear, and facts for the report.
 
-    Lights go on from those that the plan has `begun`, without the held-out photos; these then get the light and exposure that fit them best, and
-    give their colour to the texture like all others.
+    Lights are solved without the held-out photos, going on from what the plan has `begun` if that is given; held-out photos
+    then get the light and exposure that fit them best, and give their colour to the texture like all others.
     """
     assert cache.footprint is not None
     photos = len(of.cameras)
