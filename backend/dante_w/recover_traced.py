@@ -56,8 +56,8 @@ DIRECTIONS = {"draft": 64, "standard": 256, "high": 256, "paper": 256}
 FINER = {"high": 2}
 #: Parts that a preset leaves out: on the bust of the README suns take a third of `draft`'s time, for 1.7 dB after gain.
 LEFT_OUT = {"draft": ("sun",)}
-#: Presets whose lights go on from those that the plan has found. With `standard` that is 4 s less of 53, too, but loses 0.17 dB after gain
-#: and 0.3 as it is (means of four objects and three seeds).
+#: Presets whose lights go on from those that the plan has found. With `standard` that is 4 s less, too, but loses 0.17 dB after gain and 0.3
+#: as it is (means of four objects and three seeds).
 GOES_ON = ("draft",)
 #: For a plan alone.
 FEW_DIRECTIONS = 64

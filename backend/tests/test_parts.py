@@ -6,10 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from dante_w.model.held_out import choose_held_out
 from dante_w.plan import Decision
 from dante_w.traced.groups import first_groups
 from dante_w.traced.lights import Parts
-from dante_w.traced.parts import BOUNCED, Fixed, choose_parts
+from dante_w.traced.parts import BOUNCED, WORTH, Fixed, choose_parts
 from open_world import PHOTOS, POINTS, World, make_world
 
 
@@ -33,6 +34,8 @@ def planned(world: World, **chosen: bool) -> tuple[Parts, dict[str, Decision]]:
         lambda done, total: said.append(done / total),
     )
     assert said == sorted(said) and said[-1] == 1.0
+    tried = len(choose_held_out(len(world.cameras))) and not set(WORTH) <= set(chosen)
+    assert (begun is not None) == bool(tried)
     if begun:
         assert (len(begun.radiance) > 1) == parts.groups or chosen.get("groups")
         assert len(begun.radiance) <= len(world.cameras)
