@@ -35,19 +35,20 @@ from dante_w.traced.transfer import Transfer, sphere, trace_transfer
 
 #: Points traced, observations explained, samples given an albedo, and texels a side filled at most; and of samples and
 #: observations before them, which only load kernels.
-TRACED, EXPLAINED, DIVIDED, SIDE, FEW = 256, 1 << 15, 1 << 17, 512, 64
+TRACED, EXPLAINED, DIVIDED, SIDE, FEW = 256, 1 << 18, 1 << 17, 512, 64
 #: How often what takes milliseconds is timed.
 TIMED = 5
 #: Rows and columns of the matrices multiplied and factored.
 MULTIPLIED, FACTORED = (2048, 512), 1536
-#: Array code that is not timed, in observations explained: to pair a point of a step with its neighbours, to tell how it answers
-#: to one direction of one light, and to look for a sun at a point. From one profile of one object, it holds on any machine.
-PAIRED, ANSWERED, SEARCHED = 80, 0.25, 100
+#: Array code that is not timed, in observations explained: to sum up what a point of a step shows and pair it with its neighbours, to
+#: tell how it answers to one direction of one light, to look for a sun at a point, to weigh an observation's residual, to compare one of a
+#: photo with one light, and to prepare one for a fit and score it. From one profile of one object, it holds on any machine.
+SUMMED, ANSWERED, SEARCHED, WEIGHED, COMPARED, PREPARED = 150, 0.25, 100, 0.2, 0.45, 1.2
 #: What conjugate gradients take, as rows of the matrices multiplied. From the same profile.
-ITERATED = 10_000
-#: Seconds of a point, an observation, a row or a sample among many, per second of one among few: caches and threads are warm. Set by
+ITERATED = 14_000
+#: Seconds of a point, a row or a sample among many, per second of one among few: caches and threads are warm. Set by
 #: hand, as the numbers above, from profiles and from eight runs of four objects.
-MANY_TRACED, MANY_EXPLAINED, MANY_MULTIPLIED, MANY_FACTORED, MANY_DIVIDED = 0.55, 0.35, 1.8, 0.5, 0.6
+MANY_TRACED, MANY_MULTIPLIED, MANY_FACTORED, MANY_DIVIDED = 0.55, 1.8, 0.5, 0.6
 #: Lights that photos have, if there are as many photos; what is not known until they are compared. Four objects under five
 #: lights end with 5 to 8.
 LIGHTS = 7
@@ -105,7 +106,7 @@ def measure_traced(
     gather(_first(cache, FEW), cameras)
     (points, seen), gathering = timed(lambda: gather(cache, cameras, finer=finer))
     transfer, tracing = _trace(points, cache, sample.caster, directions)
-    lights = _one_light(points, cameras, transfer)
+    lights = _grey_lights(points, cameras, transfer)
     irradiance = lights.irradiance(transfer)
 
     def explained(rows: Observations) -> tuple[float, float]:
@@ -162,36 +163,49 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
     """Seconds of the stages between `rays` and `bake`, in their order."""
     observations, few = work.observations, min(COARSE, work.directions)
 
-    def step(lights: int, directions: int, share: float) -> float:
-        """One Gauss-Newton step with a share of the observations."""
+    def step(lights: int, directions: int) -> float:
+        """The equations of a Gauss-Newton step, made and solved."""
         chosen = min(POINTS, work.points)
         unknowns = lights * directions
         equations = pace.multiply * (3.0 * MANY_MULTIPLIED * chosen + ITERATED) * unknowns**2
-        equations += ANSWERED * chosen * unknowns * pace.explain
         equations += MANY_FACTORED * pace.factor * 2.0 * unknowns**3 / 6.0
-        explained = share * observations * (MANY_EXPLAINED * pace.explain + directions * pace.shine)
-        return equations + explained + work.points * pace.level + PAIRED * chosen * pace.explain
+        return equations + (ANSWERED * unknowns + SUMMED) * chosen * pace.explain
 
-    def solve(first: int, lights: int, share: float) -> float:
-        """All first steps."""
-        early = min(REGROUP) + 1
-        regrouping = len(REGROUP) * first * share * observations * pace.explain / LIGHTS
-        return early * step(first, few, share) + (FIRST_STEPS - early) * step(lights, few, share) + regrouping
+    def refined(steps: float, directions: int, share: float) -> float:
+        """What so many steps take beside their equations, with a share of the observations; they look once more in the end."""
+        look = share * observations * ((1.0 + WEIGHED) * pace.explain + directions * pace.shine)
+        return (steps + 1) * (look + work.points * pace.level)
 
-    first, lights = work.first_lights, work.lights
+    def regrouped(lights: int, share: float) -> float:
+        return COMPARED * lights * share * observations * pace.explain
+
+    def cold(first: int, lights: int, share: float) -> float:
+        """All first steps; those after which photos change their light have no equations."""
+        early, grouped = min(REGROUP), len(REGROUP) if first > 1 else 0
+        equations = early * step(first, few) + (FIRST_STEPS - early - grouped) * step(lights, few)
+        return refined(FIRST_STEPS, few, share) + equations + grouped * regrouped(first, share)
+
+    def again(lights: int, share: float) -> float:
+        """The last of the first steps, from another fit."""
+        grouped = sum(done >= FIRST_STEPS - AGAIN for done in REGROUP) if lights > 1 else 0
+        equations = (AGAIN - grouped) * step(lights, few) + grouped * regrouped(lights, share)
+        return refined(AGAIN, few, share) + equations
+
+    first, lights, trial = work.first_lights, work.lights, 1.0 / ONE_IN
     # several lights and one from the start, without gloss from there, and one of these without exposures
-    trials = solve(first, lights, 1.0 / ONE_IN) + solve(1, 1, 1.0 / ONE_IN)
-    trials += AGAIN * (2.0 * step(lights, few, 1.0 / ONE_IN) + step(1, few, 1.0 / ONE_IN))
-    coarse = AGAIN * step(lights, few, 1.0) if work.goes_on else solve(first, lights, 1.0)
-    fine = LAST_STEPS * step(lights, work.directions, 1.0)
+    trials = cold(first, lights, trial) + cold(1, 1, trial) + 2.0 * again(lights, trial) + again(1, trial)
+    prepared = PREPARED * observations * pace.explain
+    coarse = again(lights, 1.0) if work.goes_on else cold(first, lights, 1.0)
+    fine = LAST_STEPS * step(lights, work.directions) + refined(LAST_STEPS, work.directions, 1.0)
     suns = 0.0
     if work.suns:
         suns = lights * SEARCHED * work.points * pace.explain
-        suns += len(SUN_STEPS) * step(lights, work.directions, 1.0)
+        steps = len(SUN_STEPS)
+        suns += steps * step(lights, work.directions) + refined(steps, work.directions, 1.0)
     return {
         "transfer": work.samples * pace.gather + work.points * pace.trace * MANY_TRACED,
-        "plan": trials,
-        "lights": coarse + fine + suns,
+        "plan": trials + 5 * prepared,
+        "lights": coarse + fine + suns + prepared,
         "albedo": work.samples * pace.albedo * MANY_DIVIDED + work.texels * pace.fill,
     }
 
@@ -220,14 +234,15 @@ def _trace(
     return transfer, seconds / len(chosen)
 
 
-def _one_light(points: ShadingPoints, cameras: np.ndarray, transfer: Transfer) -> Lights:
-    """A grey light that all photos share."""
+def _grey_lights(points: ShadingPoints, cameras: np.ndarray, transfer: Transfer) -> Lights:
+    """Grey lights, as many as photos will have."""
     photos, count = len(cameras), len(points)
+    lights = min(LIGHTS, photos)
     return Lights(
-        np.ones((1, transfer.parts, 3), np.float32),
-        np.zeros(photos, np.int64),
+        np.ones((lights, transfer.parts, 3), np.float32),
+        np.arange(photos) % lights,
         np.zeros(photos),
-        np.zeros((count, 1, 3), np.float32),
+        np.zeros((count, lights, 3), np.float32),
         np.full((count, 3), 0.5, np.float32),
         np.ones(count, bool),
     )
