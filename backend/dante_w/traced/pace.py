@@ -42,7 +42,7 @@ TIMED = 5
 MULTIPLIED, FACTORED = (2048, 512), 1536
 #: Array code that is not timed, in observations explained: to sum up what a point of a step shows and pair it with its neighbours, to
 #: tell how it answers to one direction of one light, to look for a sun at a point, to weigh an observation's residual, to compare one of a
-#: photo with one light, and to prepare one for a fit and score it. From one profile of one object, it holds on any machine.
+#: photo with one light, and to prepare one for a fit and score it. From one profile of one object on one machine.
 SUMMED, ANSWERED, SEARCHED, WEIGHED, COMPARED, PREPARED = 150, 0.25, 100, 0.2, 0.45, 1.2
 #: What conjugate gradients take, as rows of the matrices multiplied. From the same profile.
 ITERATED = 14_000
@@ -171,7 +171,7 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
         equations += MANY_FACTORED * pace.factor * 2.0 * unknowns**3 / 6.0
         return equations + (ANSWERED * unknowns + SUMMED) * chosen * pace.explain
 
-    def refined(steps: float, directions: int, share: float) -> float:
+    def refined(steps: int, directions: int, share: float) -> float:
         """What so many steps take beside their equations, with a share of the observations; they look once more in the end."""
         look = share * observations * ((1.0 + WEIGHED) * pace.explain + directions * pace.shine)
         return (steps + 1) * (look + work.points * pace.level)
@@ -192,7 +192,7 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
         return refined(AGAIN, few, share) + equations
 
     first, lights, trial = work.first_lights, work.lights, 1.0 / ONE_IN
-    # several lights and one from the start, without gloss from there, and one of these without exposures
+    # five fits: several lights and one from the start, without gloss from there, and one of these without exposures
     trials = cold(first, lights, trial) + cold(1, 1, trial) + 2.0 * again(lights, trial) + again(1, trial)
     prepared = PREPARED * observations * pace.explain
     coarse = again(lights, 1.0) if work.goes_on else cold(first, lights, 1.0)
