@@ -9,6 +9,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from dante_w.guard import main
+from dante_w.commands.supervisor import main
 
 sys.exit(main())

@@ -21,9 +21,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import psutil
+from dante_w.contract.scene_folder import Scene, write_scene
 from dante_w.rays.ray_cache import sample_bytes
 from dante_w.scene.mesh import write_obj
-from dante_w.scene.scene_folder import Scene, write_scene
 from measure.command import ROOT
 from measure.machine import provenance, sentence
 from measure.synthetic_scene import bumpy_sphere, write_photos

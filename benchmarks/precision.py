@@ -19,11 +19,12 @@ from unittest import mock
 
 import numpy as np
 import torch
-from dante_w.model import fused, optimise
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.optimise import LossTerms, Schedule, fit, model_loss
-from dante_w.model.presets import SMALL_OFFSET, WHITE_LIGHT
+from dante_w.field import optimise
+from dante_w.field.cpu import step as fused
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.optimise import LossTerms, Schedule, fit, model_loss
+from dante_w.field.presets import SMALL_OFFSET, WHITE_LIGHT
 from measure.machine import provenance, sentence
 from measure.metrics import apply_gains, gains, psnr, srgb_from_linear
 from measure.synthetic_scene import SphereSamples, albedo_at

@@ -18,12 +18,12 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from dante_w import cli
-from dante_w.color import srgb_from_linear_array
+from dante_w.commands import cli
+from dante_w.core.color import srgb_from_linear_array
 from dante_w.scene.images import write_png
-from dante_w.traced import solve
-from dante_w.traced.albedo import albedo_texture
-from dante_w.traced.robust import ALL, Weights
+from dante_w.traced import pipeline as solve
+from dante_w.traced.albedo_texture import albedo_texture
+from dante_w.traced.pixel_weights import ALL, Weights
 from dante_w.traced.shading_points import gather
 from measure.command import ROOT
 from measure.machine import provenance, sentence

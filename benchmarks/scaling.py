@@ -19,8 +19,8 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from dante_w.contract.scene_folder import Frame
 from dante_w.scene.mesh import Mesh
-from dante_w.scene.scene_folder import Frame
 from measure.command import ROOT, dante_w
 from measure.machine import provenance, sentence
 from measure.synthetic_scene import bumpy_sphere, write_photos, write_scene_folder

@@ -17,15 +17,15 @@ from functools import partial
 from typing import Any
 
 import torch
-from dante_w.device import failure
-from dante_w.model import triton_grid
-from dante_w.model.batches import RUN
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.fused import FusedStep
-from dante_w.model.optimise import LossTerms, Step, TorchStep, model_loss
-from dante_w.model.presets import PRESETS, SMALL_OFFSET, WHITE_LIGHT
-from dante_w.model.triton_step import TritonStep
+from dante_w.field.batches import RUN
+from dante_w.field.cpu.step import FusedStep
+from dante_w.field.cuda import grid as triton_grid
+from dante_w.field.cuda.step import TritonStep
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.optimise import LossTerms, Step, TorchStep, model_loss
+from dante_w.field.presets import PRESETS, SMALL_OFFSET, WHITE_LIGHT
 from dante_w.rays.ray_cache import Samples
+from dante_w.run.device import failure
 from measure.cuda_stages import peak_bytes, profile, triton_stages
 from measure.machine import provenance, sentence
 from measure.numba_stages import numba_stages

@@ -24,9 +24,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import psutil
-from dante_w.model.presets import PRESETS
-from dante_w.recover_traced import DIRECTIONS as PRESET_DIRECTIONS
-from dante_w.recover_traced import LEFT_OUT
+from dante_w.commands.recover_traced import DIRECTIONS as PRESET_DIRECTIONS
+from dante_w.commands.recover_traced import LEFT_OUT
+from dante_w.field.presets import PRESETS
 from measure.command import ROOT
 from measure.curves import draw
 from measure.machine import provenance, sentence

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from dante_w.contract.scene_folder import read_scene
 from dante_w.scene.cameras import project
-from dante_w.scene.scene_folder import read_scene
 
 points = np.array(json.loads(Path(sys.argv[2]).read_text()))
 frames = read_scene(Path(sys.argv[1])).frames

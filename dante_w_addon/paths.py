@@ -31,7 +31,7 @@ def launcher() -> Path:
 def _load_scene_folder() -> ModuleType:
     name = f"{__package__}.scene_folder"
     spec = importlib.util.spec_from_file_location(
-        name, backend_folder() / "dante_w" / "scene" / "scene_folder.py"
+        name, backend_folder() / "dante_w" / "contract" / "scene_folder.py"
     )
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # before it runs: dataclasses look their module up

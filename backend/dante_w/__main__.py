@@ -1,5 +1,5 @@
 import sys
 
-from dante_w.guard import main
+from dante_w.commands.supervisor import main
 
 sys.exit(main())

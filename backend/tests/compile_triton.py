@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 import triton
-from dante_w.model import triton_kernels
+from dante_w.field.cuda import kernels as triton_kernels
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dante_w.color import srgb_from_linear_array
+from dante_w.contract.scene_folder import Camera
+from dante_w.core.color import srgb_from_linear_array
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import write_png
-from dante_w.scene.scene_folder import Camera
 
 if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # before triton is first imported: its kernels then run on the CPU

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from dante_w.traced.gloss import sheen
-from dante_w.traced.lights import BRIGHTEST, TOP
+from dante_w.traced.light_transport import Transfer, sphere
 from dante_w.traced.shading_points import SIDE, Observations, ShadingPoints
-from dante_w.traced.transfer import Transfer, sphere
+from dante_w.traced.solver.solve_lights import BRIGHTEST, TOP
+from dante_w.traced.specular import sheen
 
 DIRECTIONS, POINTS, PHOTOS, LIGHTS = 64, 1500, 18, 3
 

@@ -6,8 +6,8 @@ import doctest
 
 import numpy as np
 import pytest
-from dante_w.texture import average
-from dante_w.texture.average import PhotoAverage
+from dante_w.texture import photo_average as average
+from dante_w.texture.photo_average import PhotoAverage
 
 
 def grid(spacing: float, angle: float, size: int) -> np.ndarray:

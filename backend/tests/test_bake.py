@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dante_w.texture import pushpull
+from dante_w.texture import pyramid_fill as pushpull
 from dante_w.texture.bake import bake
 from dante_w.texture.coverage import Coverage, empty_coverage, mark
-from dante_w.texture.uvmap import rasterise
+from dante_w.texture.rasterise import rasterise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pycolmap
 import pytest
-from dante_w.errors import BadInput
+from dante_w.contract.errors import BadInput
+from dante_w.contract.scene_folder import Camera
 from dante_w.scene.cameras import check_camera, directions, project
-from dante_w.scene.scene_folder import Camera
 from hypothesis import given
 from hypothesis import strategies as st
 

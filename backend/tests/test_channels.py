@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from dante_w.errors import DanteError
-from dante_w.traced import channels
-from dante_w.traced.channels import System, solve
+from dante_w.contract.errors import DanteError
+from dante_w.traced.solver import pcg as channels
+from dante_w.traced.solver.pcg import System, solve
 
 LIGHTS, DIRECTIONS, SHARED = 3, 8, 5
 SIZE = LIGHTS * DIRECTIONS

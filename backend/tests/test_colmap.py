@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from dante_w.errors import BadInput
+from dante_w.contract.errors import BadInput
+from dante_w.contract.scene_folder import Camera
 from dante_w.scene.colmap import is_colmap, read_colmap
 from dante_w.scene.images import write_png
 from dante_w.scene.load import load_scene
-from dante_w.scene.scene_folder import Camera
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 

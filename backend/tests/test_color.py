@@ -1,6 +1,11 @@
 import numpy as np
 import torch
-from dante_w.color import linear_from_srgb, linear_from_srgb_array, srgb_from_linear, srgb_from_linear_array
+from dante_w.core.color import (
+    linear_from_srgb,
+    linear_from_srgb_array,
+    srgb_from_linear,
+    srgb_from_linear_array,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from dante_w.model import fused, gauge
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.optimise import LossTerms, Schedule, fit, psnr
-from dante_w.model.presets import sized
+from dante_w.field import scale_ambiguity as gauge
+from dante_w.field.cpu import step as fused
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.optimise import LossTerms, Schedule, fit, psnr
+from dante_w.field.presets import sized
 from dante_w.rays.ray_cache import RayCache, Surface
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves

@@ -16,15 +16,17 @@ import psutil
 import pytest
 import torch
 from conftest import make_scene
-from dante_w import distributed
+from dante_w.run import distributed
 from dante_w.scene.images import read_photo
 
 OPTIONS = ["--irradiance", "field", "--preset", "draft", "--texture-size", "64", "--json"]
 #: Runs the command; the process of this number fails in the way that the first argument says, once it has met the others.
 FAILING = """
 import os, signal, sys
-from dante_w import cli, distributed, recover
-from dante_w.errors import OutOfRoom
+from dante_w.commands import cli
+from dante_w.run import distributed
+from dante_w.commands import recover
+from dante_w.contract.errors import OutOfRoom
 
 how, join = sys.argv.pop(1), distributed.join
 
@@ -43,10 +45,10 @@ sys.exit(cli.main())
 STEPS = """
 import sys
 import numpy as np, torch
-from dante_w import distributed
-from dante_w.model.optimise import LossTerms, TorchStep
-from dante_w.model.fused import FusedStep
-from dante_w.model.triton_step import TritonStep
+from dante_w.run import distributed
+from dante_w.field.optimise import LossTerms, TorchStep
+from dante_w.field.cpu.step import FusedStep
+from dante_w.field.cuda.step import TritonStep
 sys.path.insert(0, sys.argv[2])
 from test_fused import SPECS, all_of, some_model, some_samples
 

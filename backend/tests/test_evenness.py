@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from dante_w.traced import evenness
-from dante_w.traced.evenness import FAR, NEAR, WEIGHT, laplacian
-from dante_w.traced.lights import Parts, solve_lights
+from dante_w.traced.solver import smoothness_prior as evenness
+from dante_w.traced.solver.smoothness_prior import FAR, NEAR, WEIGHT, laplacian
+from dante_w.traced.solver.solve_lights import Parts, solve_lights
 from open_world import PHOTOS, World, make_world
 
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 from conftest import make_scene
-from dante_w.expectation import QUALITY, Expectation, Quality, Work, predict
-from dante_w.model.fields import ModelSpec
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.optimise import LossTerms
-from dante_w.model.presets import PRESETS
-from dante_w.pace import Fitting, Pace, Texture, measure, take
+from dante_w.estimate.expectation import QUALITY, Expectation, Quality, Work, predict
+from dante_w.estimate.pace import Fitting, Pace, Texture, measure, take
+from dante_w.field.fields import ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.optimise import LossTerms
+from dante_w.field.presets import PRESETS
 from dante_w.scene.load import load_scene
 
 PACE = Pace(

@@ -14,10 +14,12 @@ from pathlib import Path
 import psutil
 import pytest
 import torch
-from dante_w import job, result_folder, stages
-from dante_w.cli import main
-from dante_w.errors import BadInput, Cancelled
-from dante_w.progress import Progress
+from dante_w.commands import stages
+from dante_w.commands import worker as job
+from dante_w.commands.cli import main
+from dante_w.contract.errors import BadInput, Cancelled
+from dante_w.run import result_folder
+from dante_w.run.progress import Progress
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no kill -9 to send")
 RESULT = {"albedo.png": "new", "coverage.png": "new", "report.json": "new"}
@@ -126,7 +128,7 @@ def test_the_dead_are_in_nobodys_way(tmp_path, later):
 FIRST = """
 import sys
 from pathlib import Path
-from dante_w import result_folder
+from dante_w.run import result_folder
 out = Path(sys.argv[1])
 staging = result_folder.stage(out)
 print("at work", flush=True)

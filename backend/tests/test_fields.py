@@ -1,6 +1,6 @@
 import torch
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.hash_encoding import GridSpec
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.hash_encoding import GridSpec
 
 SPEC = ModelSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 8, 10), hidden=16, embedding=3)
 

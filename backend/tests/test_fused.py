@@ -8,15 +8,15 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import torch
-from dante_w.color import linear_from_srgb, srgb_from_linear
-from dante_w.jit import njit_fast
-from dante_w.model import fused
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.fused import FusedStep
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.kernels import functions
-from dante_w.model.optimise import LossTerms, TorchStep, step_for
-from dante_w.model.pyramid import PyramidSpec
+from dante_w.core.color import linear_from_srgb, srgb_from_linear
+from dante_w.core.jit import njit_fast
+from dante_w.field.cpu import step as fused
+from dante_w.field.cpu.kernels import functions
+from dante_w.field.cpu.step import FusedStep
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.optimise import LossTerms, TorchStep, step_for
+from dante_w.field.pyramid import PyramidSpec
 from dante_w.rays.ray_cache import Samples
 
 PHOTOS = 5

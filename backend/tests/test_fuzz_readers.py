@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dante_w.errors import BadInput
+from dante_w.contract.errors import BadInput
+from dante_w.contract.scene_folder import Camera
 from dante_w.scene.cameras import check_camera, directions, project
 from dante_w.scene.colmap import read_colmap
 from dante_w.scene.mesh import read_mesh
-from dante_w.scene.scene_folder import Camera
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_mesh import CORNERS, SQUARE, glb, ply, square_glb, v_lines

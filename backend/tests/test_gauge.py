@@ -1,10 +1,10 @@
 import numpy as np
 import torch
-from dante_w.color import linear_from_srgb
-from dante_w.model import gauge
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.optimise import photo_ranges
+from dante_w.core.color import linear_from_srgb
+from dante_w.field import scale_ambiguity as gauge
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.optimise import photo_ranges
 from dante_w.rays.ray_cache import trace
 from dante_w.scene.load import load_scene
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
-from dante_w.model.hash_encoding import PRIMES, GridSpec, HashGrid, encode_reference, vertex_index
-from dante_w.model.kernels import BLOCK
-from dante_w.model.kernels.grid import Grid, encode, load, scatter
+from dante_w.field.cpu.kernels import BLOCK
+from dante_w.field.cpu.kernels.grid import Grid, encode, load, scatter
+from dante_w.field.hash_encoding import PRIMES, GridSpec, HashGrid, encode_reference, vertex_index
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

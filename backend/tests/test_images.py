@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
-from dante_w.color import linear_from_srgb_array, srgb_from_linear_array
-from dante_w.errors import BadInput, DanteError, OutOfRoom
+from dante_w.contract.errors import BadInput, DanteError, OutOfRoom
+from dante_w.core.color import linear_from_srgb_array, srgb_from_linear_array
 from dante_w.scene import images
 from dante_w.scene.images import read_photo, read_prior, read_size, read_texture, write_exr, write_png
 from hypothesis import HealthCheck, given, settings

@@ -15,18 +15,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import CAMERA, photograph, pose
-from dante_w import recover_traced
-from dante_w.cli import main
-from dante_w.color import linear_from_srgb_array, srgb_from_linear_array
-from dante_w.model import presets
-from dante_w.model.fields import ModelSpec
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.optimise import Schedule
+from dante_w.commands import recover_traced
+from dante_w.commands.cli import main
+from dante_w.contract.scene_folder import Frame, Scene, write_scene
+from dante_w.core.color import linear_from_srgb_array, srgb_from_linear_array
+from dante_w.field import presets
+from dante_w.field.fields import ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.optimise import Schedule
 from dante_w.rays.ray_cache import RayCache, trace
 from dante_w.rays.raycast import Frame3D
 from dante_w.scene.images import read_texture, write_exr
 from dante_w.scene.mesh import Mesh, write_obj
-from dante_w.scene.scene_folder import Frame, Scene, write_scene
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -102,7 +102,7 @@ def small(monkeypatch):
     preset = presets.Preset(SIZE, spec, Schedule(150, 2048, 1e-2), Schedule(30, 2048, 2e-3))
     monkeypatch.setitem(presets.PRESETS, "standard", preset)
     monkeypatch.setitem(recover_traced.DIRECTIONS, "standard", 32)
-    for module in ("lights", "parts"):
+    for module in ("solver.solve_lights", "model_selection"):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
 
 

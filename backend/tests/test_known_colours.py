@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from dante_w.color import linear_from_srgb_array
-from dante_w.errors import BadInput
+from dante_w.contract.errors import BadInput
+from dante_w.core.color import linear_from_srgb_array
 from dante_w.texture.known_colours import KnownColour, gain, parse
 from hypothesis import given
 from hypothesis import strategies as st

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dante_w.errors import BadInput, OutOfRoom
+from dante_w.contract.errors import BadInput, OutOfRoom
 from dante_w.scene.mesh import Mesh, read_mesh, unique_rows, write_obj
 from dante_w.scene.mesh_fan import fan
 from hypothesis import HealthCheck, given, settings

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from dante_w.traced import channels
-from dante_w.traced.evenness import laplacian
-from dante_w.traced.normal_equations import (
+from dante_w.traced.light_transport import sphere
+from dante_w.traced.solver import pcg as channels
+from dante_w.traced.solver.normal_equations import (
     LONGEST_STEP,
     TRUST,
     UNSURE_LEVEL,
@@ -18,7 +18,7 @@ from dante_w.traced.normal_equations import (
     prior_precision,
     step,
 )
-from dante_w.traced.transfer import sphere
+from dante_w.traced.solver.smoothness_prior import laplacian
 
 POINTS, PHOTOS, LIGHTS, DIRECTIONS = 14, 6, 2, 12
 LIGHT = np.array([0, 1, 0, 1, 1, 0])

@@ -4,16 +4,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from dante_w.color import linear_from_srgb, srgb_from_linear
-from dante_w.model import batches as module
-from dante_w.model.batches import BLOCK, RUN, batches, blocks
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.held_out import _bands, choose_held_out
-from dante_w.model.optimise import FINAL_RATE, LossTerms, Schedule, cosine, fit, model_loss
-from dante_w.model.presets import PRESETS, equal_bands
-from dante_w.model.pyramid import PyramidSpec
+from dante_w.core.color import linear_from_srgb, srgb_from_linear
+from dante_w.field import batches as module
+from dante_w.field.batches import BLOCK, RUN, batches, blocks
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.held_out import _bands
+from dante_w.field.optimise import FINAL_RATE, LossTerms, Schedule, cosine, fit, model_loss
+from dante_w.field.presets import PRESETS, equal_bands
+from dante_w.field.pyramid import PyramidSpec
 from dante_w.rays.ray_cache import CELLS, RayCache, Samples, Surface, note_finest
+from dante_w.scene.held_out import choose_held_out
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

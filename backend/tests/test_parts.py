@@ -6,17 +6,17 @@ import dataclasses
 
 import numpy as np
 import pytest
-from dante_w.model.held_out import choose_held_out
-from dante_w.plan import Decision
-from dante_w.traced.groups import first_groups
-from dante_w.traced.lights import Parts
-from dante_w.traced.parts import BOUNCED, WORTH, Fixed, choose_parts
+from dante_w.commands.plan_report import Decision
+from dante_w.scene.held_out import choose_held_out
+from dante_w.traced.light_clusters import first_groups
+from dante_w.traced.model_selection import BOUNCED, WORTH, Fixed, choose_parts
+from dante_w.traced.solver.solve_lights import Parts
 from open_world import PHOTOS, POINTS, World, make_world
 
 
 @pytest.fixture(autouse=True)
 def few_directions(monkeypatch):
-    for module in ("lights", "parts"):
+    for module in ("solver.solve_lights", "model_selection"):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 32)
 
 
@@ -77,7 +77,7 @@ def test_under_several_lights_gloss_is_modelled_unless_photos_are_far_worse_with
 
 
 def test_under_several_lights_gloss_stays_where_photos_hardly_tell(monkeypatch):
-    monkeypatch.setattr("dante_w.traced.parts.WORTH_OF_GLOSS", -100.0)
+    monkeypatch.setattr("dante_w.traced.model_selection.WORTH_OF_GLOSS", -100.0)
     parts, said = planned(make_world(3, 0.35, matte=True))
     assert parts.groups
     assert parts.gloss

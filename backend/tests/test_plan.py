@@ -11,15 +11,16 @@ import sys
 import numpy as np
 import pytest
 from conftest import CAMERA, SQUARE, make_scene, pose
-from dante_w import memory, recover_traced, stages
-from dante_w.cli import main
-from dante_w.plan import LEAST_SIDE, YOU_CHOSE, texture_side
+from dante_w.commands import recover_traced, stages
+from dante_w.commands.cli import main
+from dante_w.commands.plan_report import LEAST_SIDE, YOU_CHOSE, texture_side
+from dante_w.contract.scene_folder import Camera, Frame
+from dante_w.estimate import memory
 from dante_w.rays import footprint
 from dante_w.rays.footprint import FILLED, glance
 from dante_w.rays.ray_cache import trace
 from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import read_mesh
-from dante_w.scene.scene_folder import Camera, Frame
 
 MOST = 4096
 
@@ -33,7 +34,7 @@ def square(tmp_path):
 @pytest.fixture(autouse=True)
 def few_directions(monkeypatch):
     monkeypatch.setitem(recover_traced.DIRECTIONS, "standard", 32)
-    for module in ("lights", "parts"):
+    for module in ("solver.solve_lights", "model_selection"):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
 
 

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 import torch
-from dante_w.model.presets import LEAST_GAP, PRESETS, sized
-from dante_w.model.pyramid import PyramidSpec
+from dante_w.field.presets import LEAST_GAP, PRESETS, sized
+from dante_w.field.pyramid import PyramidSpec
 from dante_w.rays.ray_cache import RayCache, Surface
 
 STANDARD = PRESETS["standard"].model

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from dante_w.model.fields import AlbedoField
-from dante_w.model.pyramid import PyramidSpec
+from dante_w.field.fields import AlbedoField
+from dante_w.field.pyramid import PyramidSpec
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 from conftest import CAMERA, make_scene, pose
-from dante_w.cli import main
-from dante_w.errors import BadInput
+from dante_w.commands.cli import main
+from dante_w.contract.errors import BadInput
+from dante_w.contract.scene_folder import Frame
 from dante_w.rays import ray_cache, raycast
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.load import load_scene
-from dante_w.scene.scene_folder import Frame
 
 CPU = torch.device("cpu")
 

@@ -17,15 +17,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import SQUARE, albedo_at, make_scene, photograph
-from dante_w import recover_traced
-from dante_w.cli import main
-from dante_w.color import srgb_from_linear_array
-from dante_w.model import presets
-from dante_w.model.fields import ModelSpec
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.optimise import Schedule
+from dante_w.commands import recover_traced
+from dante_w.commands.cli import main
+from dante_w.contract.scene_folder import read_scene
+from dante_w.core.color import srgb_from_linear_array
+from dante_w.field import presets
+from dante_w.field.fields import ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.optimise import Schedule
 from dante_w.scene.images import read_texture, write_exr, write_png
-from dante_w.scene.scene_folder import read_scene
 
 SIZE = 64
 STAGES = ["scene", "rays", "transfer", "plan", "lights", "albedo", "bake", "write"]
@@ -48,7 +48,7 @@ def small_preset(monkeypatch):
 def few_directions(monkeypatch):
     """Light from fewer directions: the time to solve for it grows with their cube."""
     monkeypatch.setitem(recover_traced.DIRECTIONS, "standard", 32)
-    for module in ("lights", "parts"):
+    for module in ("solver.solve_lights", "model_selection"):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
 
 

@@ -13,19 +13,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from dante_w import checkpoints
-from dante_w.checkpoints import Checkpoints, open_checkpoints
+from dante_w.run import checkpoints
+from dante_w.run.checkpoints import Checkpoints, open_checkpoints
 from dante_w.scene.load import load_scene
 
 #: The command, small, which keeps everything; with KILL "STAGE STEP" it strikes itself there by kill -9.
 COMMAND = """
 import os, signal, sys
-from dante_w import checkpoints, cli, recover_traced
-from dante_w.model import presets
-from dante_w.model.fields import ModelSpec
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.optimise import Schedule
-from dante_w.progress import Progress
+from dante_w.run import checkpoints
+from dante_w.commands import cli
+from dante_w.commands import recover_traced
+from dante_w.field import presets
+from dante_w.field.fields import ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.optimise import Schedule
+from dante_w.run.progress import Progress
 checkpoints.SECONDS = 0.0
 spec = ModelSpec(GridSpec(2, 6, 2, 4, 64, 12), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4)
 presets.PRESETS["draft"] = presets.Preset(64, spec, Schedule(60, 2048, 1e-2), Schedule(30, 2048, 2e-3))

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dante_w.errors import BadInput
-from dante_w.scene import scene_folder
-from dante_w.scene.scene_folder import INTRINSIC_KEYS, Camera, Frame, Scene, read_scene, write_scene
+from dante_w.contract import scene_folder
+from dante_w.contract.errors import BadInput
+from dante_w.contract.scene_folder import INTRINSIC_KEYS, Camera, Frame, Scene, read_scene, write_scene
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 

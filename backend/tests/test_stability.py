@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 import torch
 from conftest import CAMERA, albedo_at, make_scene
-from dante_w import recover_traced
-from dante_w.cli import main
-from dante_w.color import linear_from_srgb, srgb_from_linear
-from dante_w.errors import BadInput
-from dante_w.model import divergence, presets
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.hash_encoding import GridSpec, HashGrid, encode_reference
-from dante_w.model.kernels.functions import srgb_from_linear as kernel_srgb
-from dante_w.model.optimise import FusedStep, LossTerms, Schedule, TorchStep, fit, model_loss
-from dante_w.rays.levels import GLARING, NEARLY_WHITE, levelled
+from dante_w.commands import recover_traced
+from dante_w.commands.cli import main
+from dante_w.contract.errors import BadInput
+from dante_w.contract.scene_folder import read_scene
+from dante_w.core.color import linear_from_srgb, srgb_from_linear
+from dante_w.field import divergence, presets
+from dante_w.field.cpu.kernels.functions import srgb_from_linear as kernel_srgb
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.hash_encoding import GridSpec, HashGrid, encode_reference
+from dante_w.field.optimise import FusedStep, LossTerms, Schedule, TorchStep, fit, model_loss
+from dante_w.rays.radiance_levels import GLARING, NEARLY_WHITE, levelled
 from dante_w.rays.ray_cache import Samples, trace
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.images import read_photo, read_texture, write_exr
 from dante_w.scene.mesh import Mesh
-from dante_w.scene.scene_folder import read_scene
 from dante_w.traced.shading_points import ShadingPoints, gather
 
 SPEC = ModelSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 8), hidden=16, embedding=2)
@@ -34,7 +34,7 @@ def small(monkeypatch):
     preset = presets.Preset(64, SPEC, Schedule(100, 1024, 1e-2), Schedule(20, 1024, 2e-3))
     monkeypatch.setitem(presets.PRESETS, "standard", preset)
     monkeypatch.setitem(recover_traced.DIRECTIONS, "standard", 32)
-    for module in ("lights", "parts"):
+    for module in ("solver.solve_lights", "model_selection"):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
 
 

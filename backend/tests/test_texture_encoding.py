@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dante_w.color import srgb_from_linear_array
-from dante_w.texture.texture_encoding import decode_rows, encode_rows
+from dante_w.core.color import srgb_from_linear_array
+from dante_w.texture.encoding import decode_rows, encode_rows
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

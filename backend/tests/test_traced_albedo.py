@@ -7,17 +7,17 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from dante_w.color import srgb_from_linear_array
+from dante_w.core.color import srgb_from_linear_array
 from dante_w.rays.ray_cache import RayCache, Surface
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
 from dante_w.traced import shading_points
-from dante_w.traced.albedo import albedo_texture
-from dante_w.traced.gloss import sheen
-from dante_w.traced.lights import Lights
-from dante_w.traced.robust import ALL, Weights
+from dante_w.traced.albedo_texture import albedo_texture
+from dante_w.traced.light_transport import trace_transfer
+from dante_w.traced.pixel_weights import ALL, Weights
 from dante_w.traced.shading_points import gather
-from dante_w.traced.transfer import trace_transfer
+from dante_w.traced.solver.solve_lights import Lights
+from dante_w.traced.specular import sheen
 
 PHOTOS, SIZE, PIXELS = 9, 128, 150
 IN_ORDER = np.arange(PHOTOS)

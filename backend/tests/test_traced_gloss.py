@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from dante_w.traced.gloss import ALPHA, REFLECTANCE, sheen
-from dante_w.traced.transfer import sphere
+from dante_w.traced.light_transport import sphere
+from dante_w.traced.specular import ALPHA, REFLECTANCE, sheen
 
 DIRECTIONS = 64
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dante_w.traced import groups
-from dante_w.traced.groups import first_groups, regroup
+from dante_w.traced import light_clusters as groups
+from dante_w.traced.light_clusters import first_groups, regroup
 from dante_w.traced.shading_points import Observations
 
 LIGHTS, EACH, POINTS = 3, 4, 800

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from dante_w.traced.held_out import place
-from dante_w.traced.lights import Lights, Parts, solve_lights
+from dante_w.traced.solver.solve_lights import Lights, Parts, solve_lights
 from open_world import LIGHTS, PHOTOS, POINTS, World, make_world
 
 HELD_OUT = np.array([4, 11])

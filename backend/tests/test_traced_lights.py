@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dante_w.errors import BadInput
-from dante_w.traced.gloss import sheen
-from dante_w.traced.lights import (
+from dante_w.contract.errors import BadInput
+from dante_w.traced.shading_points import Observations
+from dante_w.traced.solver.normal_equations import Equations, step
+from dante_w.traced.solver.solve_lights import (
     BRIGHTEST,
     FEWEST_PHOTOS,
     LEVEL_TRUST,
@@ -19,8 +20,7 @@ from dante_w.traced.lights import (
     Parts,
     solve_lights,
 )
-from dante_w.traced.normal_equations import Equations, step
-from dante_w.traced.shading_points import Observations
+from dante_w.traced.specular import sheen
 from open_world import DIRECTIONS, LIGHTS, PHOTOS, POINTS, World, make_world, unit
 
 LIGHT = np.arange(PHOTOS) % LIGHTS
@@ -104,8 +104,8 @@ def test_points_of_smaller_cells_count_more(world, monkeypatch, sides, counts):
         seen.add(equations.counts)
         return step(equations, *others)
 
-    monkeypatch.setattr("dante_w.traced.lights.COUNTED_SIDE", sides * world.points.side)
-    monkeypatch.setattr("dante_w.traced.lights.step", steps)
+    monkeypatch.setattr("dante_w.traced.solver.solve_lights.COUNTED_SIDE", sides * world.points.side)
+    monkeypatch.setattr("dante_w.traced.solver.solve_lights.step", steps)
     solved(world, fine=False)
     assert seen == {counts}
 
@@ -183,8 +183,8 @@ def test_a_point_that_too_few_photos_see_is_not_known(world, found):
 
 
 def test_same_seed_same_arrays(world, monkeypatch):
-    monkeypatch.setattr("dante_w.traced.lights.POINTS", 400)
-    monkeypatch.setattr("dante_w.traced.lights.LAST_STEPS", 1)
+    monkeypatch.setattr("dante_w.traced.solver.solve_lights.POINTS", 400)
+    monkeypatch.setattr("dante_w.traced.solver.solve_lights.LAST_STEPS", 1)
     first, again, other = (solved(world, seed=seed) for seed in (1, 1, 2))
     for name in vars(first):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name), name)
@@ -204,8 +204,8 @@ def test_photos_that_are_all_clipped_are_bad_input(world):
 
 @pytest.fixture
 def quick(monkeypatch):
-    monkeypatch.setattr("dante_w.traced.lights.COARSE", 32)
-    monkeypatch.setattr("dante_w.traced.lights.POINTS", 500)
+    monkeypatch.setattr("dante_w.traced.solver.solve_lights.COARSE", 32)
+    monkeypatch.setattr("dante_w.traced.solver.solve_lights.POINTS", 500)
 
 
 def test_without_the_last_steps_light_comes_from_few_directions(world, quick):

@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 from conftest import make_scene
-from dante_w.pace import take
+from dante_w.estimate.pace import take
+from dante_w.estimate.traced_pace import TracedPace, TracedWork, measure_traced, predict_traced
 from dante_w.scene.load import load_scene
-from dante_w.traced.pace import TracedPace, TracedWork, measure_traced, predict_traced
 
 PACE = TracedPace(
     gather=3e-7,

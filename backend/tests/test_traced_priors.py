@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from dante_w.color import srgb_from_linear_array
+from dante_w.core.color import srgb_from_linear_array
 from dante_w.rays.ray_cache import RayCache, Surface
-from dante_w.traced.priors import ENOUGH_VIEWS, TRUST, known_albedo
+from dante_w.traced.albedo_prior import ENOUGH_VIEWS, TRUST, known_albedo
 from dante_w.traced.shading_points import SIDE, ShadingPoints, gather
 
 VIEWS, CELLS = 6, 24  # cells along either side of the part of the texture that is seen

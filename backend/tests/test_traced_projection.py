@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dante_w.traced.projection import FAINTEST, FARTHEST, LEAST_DIFFUSE, OUTLIER, by_point, project
+from dante_w.traced.solver.variable_projection import (
+    FAINTEST,
+    FARTHEST,
+    LEAST_DIFFUSE,
+    OUTLIER,
+    by_point,
+    project,
+)
 
 
 def some(observations: int, points: int, photos: int, lights: int, seed: int) -> dict[str, np.ndarray]:

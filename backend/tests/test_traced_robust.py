@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dante_w.rays.edges import REACH, STEEP, edge_distances
-from dante_w.traced.robust import (
+from dante_w.rays.depth_edges import REACH, STEEP, edge_distances
+from dante_w.traced.pixel_weights import (
     AGREED,
     BRIGHTER,
     CLIPPED,

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
-from dante_w.traced.albedo import irradiance_of
-from dante_w.traced.gloss import sheen
-from dante_w.traced.lights import Lights, Parts, evidence, solve_lights
+from dante_w.traced.albedo_texture import irradiance_of
+from dante_w.traced.light_transport import sunlit, trace_transfer, with_suns
 from dante_w.traced.shading_points import Observations, ShadingPoints
+from dante_w.traced.solver.solve_lights import Lights, Parts, evidence, solve_lights
+from dante_w.traced.specular import sheen
 from dante_w.traced.sun import peaks, with_own_suns
-from dante_w.traced.transfer import sunlit, trace_transfer, with_suns
 
 SIDE, PHOTOS = 40, 4
 SUN = np.array([0.55, 0.2, 0.81]) / np.linalg.norm([0.55, 0.2, 0.81])

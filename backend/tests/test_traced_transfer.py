@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from dante_w.color import linear_from_srgb_array
+from dante_w.core.color import linear_from_srgb_array
 from dante_w.rays.ray_cache import RayCache, Surface
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
+from dante_w.traced.light_transport import Transfer, bounced, sphere, trace_transfer
 from dante_w.traced.shading_points import CLIPPED, SIDE, ShadingPoints, cells, facing, gather
-from dante_w.traced.transfer import Transfer, bounced, sphere, trace_transfer
 
 CHART = 8  # cells along either side of a quad's chart
 CENTRE = np.array([[0.5, 0.5, 0.5]])

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dante_w import checkpoints
-from dante_w.checkpoints import Checkpoints
-from dante_w.cli import main
-from dante_w.model.divergence import MOST, Setback
-from dante_w.traced import lights
-from dante_w.traced.lights import FIRST_STEPS, Lights, solve_lights
-from dante_w.traced.watch import MARGIN, ROSE, Course, look
+from dante_w.commands.cli import main
+from dante_w.run import checkpoints
+from dante_w.run.checkpoints import Checkpoints
+from dante_w.run.setbacks import MOST, Setback
+from dante_w.traced.solver import solve_lights as lights
+from dante_w.traced.solver.solve_lights import FIRST_STEPS, Lights, solve_lights
+from dante_w.traced.solver.step_control import MARGIN, ROSE, Course, look
 from open_world import LIGHTS, PHOTOS, World, make_world
 
 STEP = lights.step

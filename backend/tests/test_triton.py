@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from dante_w.model import triton_grid
-from dante_w.model.hash_encoding import GridSpec, encode_reference
-from dante_w.model.optimise import LossTerms, TorchStep, step_for
-from dante_w.model.pyramid import PyramidSpec
-from dante_w.model.triton_step import TritonStep
+from dante_w.field.cuda import grid as triton_grid
+from dante_w.field.cuda.step import TritonStep
+from dante_w.field.hash_encoding import GridSpec, encode_reference
+from dante_w.field.optimise import LossTerms, TorchStep, step_for
+from dante_w.field.pyramid import PyramidSpec
 from test_fused import SPECS, TERMS, all_of, in_float64, some_model, some_samples
 
 pytest.importorskip("triton", reason="the CUDA kernels are written in it; there are wheels for Linux alone")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dante_w.errors import BadInput, OutOfRoom
+from dante_w.contract.errors import BadInput, OutOfRoom
 from dante_w.scene.mesh import Mesh
 from dante_w.texture import unwrap as module
 from dante_w.texture.unwrap import PADDING, unwrap

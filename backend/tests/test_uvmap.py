@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dante_w.errors import BadInput
-from dante_w.texture import uvmap
-from dante_w.texture.uvmap import (
+from dante_w.contract.errors import BadInput
+from dante_w.texture import rasterise as uvmap
+from dante_w.texture.rasterise import (
     bin_faces,
     check_uvs,
     overlap_fraction,
@@ -210,7 +210,7 @@ def test_kernels_run_where_nothing_can_be_cached_beside_them(tmp_path: Path, use
     shutil.copytree(package, tmp_path / "dante_w", ignore=shutil.ignore_patterns("__pycache__"))
     (tmp_path / "dante_w" / "texture" / "__pycache__").touch()
     cache = tmp_path / "cache" if user_cache else tmp_path / "dante_w" / "__init__.py" / "cache"
-    code = "import numpy as np; from dante_w.texture.uvmap import rasterise; print(rasterise(np.eye(3)[None, :, :2], 4, 4).sum())"
+    code = "import numpy as np; from dante_w.texture.rasterise import rasterise; print(rasterise(np.eye(3)[None, :, :2], 4, 4).sum())"
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     environment |= {"HOME": str(cache), "XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(tmp_path)}
     done = subprocess.run(

@@ -32,10 +32,10 @@ CALLS = frozenset(
 )
 #: What is done all the same, and why.
 ALLOWED = {
-    "backend/dante_w/guard.py subprocess": "the work runs in a process of its own, started by a list of words",
+    "backend/dante_w/commands/supervisor.py subprocess": "the work runs in a process of its own, started by a list of words",
     "backend/dante_w/texture/unwrap.py subprocess": "xatlas cannot be interrupted, so it runs in a child",
     "backend/dante_w/texture/unwrap.py ctypes": "prctl: that child ends with its parent",
-    "backend/dante_w/distributed.py torch.distributed": "only where torchrun, which the user starts, says so",
+    "backend/dante_w/run/distributed.py torch.distributed": "only where torchrun, which the user starts, says so",
     "dante_w_addon/process.py subprocess": "the backend",
     "dante_w_addon/environment.py subprocess": "pip and the backend's doctor",
     "dante_w_addon/environment.py https": "wheels, downloaded by a button that needs Blender's online access",

@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import torch
-from dante_w.color import linear_from_srgb, srgb_from_linear
-from dante_w.model import fused, optimise
-from dante_w.model.hash_encoding import GridSpec, HashGrid, encode_reference
-from dante_w.model.kernels.functions import linear_from_srgb as kernel_linear
-from dante_w.model.kernels.functions import srgb_from_linear as kernel_srgb
-from dante_w.model.optimise import model_loss
-from dante_w.model.pyramid import LevelSum
+from dante_w.core.color import linear_from_srgb, srgb_from_linear
+from dante_w.field import optimise
+from dante_w.field.cpu import step as fused
+from dante_w.field.cpu.kernels.functions import linear_from_srgb as kernel_linear
+from dante_w.field.cpu.kernels.functions import srgb_from_linear as kernel_srgb
+from dante_w.field.hash_encoding import GridSpec, HashGrid, encode_reference
+from dante_w.field.optimise import model_loss
+from dante_w.field.pyramid import LevelSum
 from precision import (
     EXACT,
     GROUPS,

@@ -8,8 +8,8 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from dante_w.model.optimise import Schedule
-from dante_w.traced import lights
+from dante_w.field.optimise import Schedule
+from dante_w.traced.solver import solve_lights as lights
 
 from extremes.judge import MODELS, alike, as_good, between, refused, texel_centres, tried, unspoilt
 from extremes.row import Row

@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dante_w.errors import DanteError
+from dante_w.contract.errors import DanteError
+from dante_w.contract.scene_folder import Camera, read_scene
 from dante_w.scene.cameras import check_camera, directions, project
 from dante_w.scene.colmap import read_colmap
 from dante_w.scene.mesh import read_mesh
-from dante_w.scene.scene_folder import Camera, read_scene
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

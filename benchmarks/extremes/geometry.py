@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
+from dante_w.contract.scene_folder import Camera
 from dante_w.scene.mesh import Mesh
-from dante_w.scene.scene_folder import Camera
 
 from extremes.judge import MODELS, alike, as_good, tried, unspoilt
 from extremes.row import Row

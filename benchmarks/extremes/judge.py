@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from dante_w.model import presets
+from dante_w.field import presets
 from measure.metrics import apply_gains, gains, psnr, srgb_from_linear
 
 from extremes.row import Row

@@ -46,7 +46,7 @@ AT_RANDOM = 10
 #: What kill -9 may leave until the next run.
 LEFTOVERS = {".partial", ".whole", ".doomed", ".resume"}
 AT_STAGE = """
-from dante_w.progress import Progress
+from dante_w.run.progress import Progress
 update = Progress.update
 def struck(self, stage, step, *more):
     if stage == {stage!r} and step >= {step}:
@@ -64,7 +64,7 @@ def struck(source, target):
     replace(source, target)
 os.replace = struck
 """
-KEEP_ALL = "\nfrom dante_w import checkpoints; checkpoints.SECONDS = 0.0"
+KEEP_ALL = "\nfrom dante_w.run import checkpoints; checkpoints.SECONDS = 0.0"
 #: A stand-in for Blender: starts the command with a pipe to itself and passes on what it says.
 PARENT = (
     "import subprocess, sys\n"

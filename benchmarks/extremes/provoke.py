@@ -23,7 +23,7 @@ from extremes.world import make, write
 SIZE = ("--texture-size", "64")
 MODELS = {"traced": ("--irradiance", "traced"), "field": ("--irradiance", "field")}
 #: The command stops itself at a stage as if struck by kill -9, or works with other constants: Python put before it.
-PATCHED = "import os, signal, sys; from dante_w import cli\n{patch}\nsys.exit(cli.main())"
+PATCHED = "import os, signal, sys; from dante_w.commands import cli\n{patch}\nsys.exit(cli.main())"
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,11 @@ from dante_w.rays import ray_cache
 class Little: virtual_memory = staticmethod(lambda: psutil.virtual_memory()._replace(available=0))
 ray_cache.psutil = Little
 """
-KEEP_ALL = "from dante_w import checkpoints; checkpoints.SECONDS = 0.0"
+KEEP_ALL = "from dante_w.run import checkpoints; checkpoints.SECONDS = 0.0"
 #: What every library says when memory runs out, raised where it would be.
 RAISE = """
 import torch
-from dante_w import recover
+from dante_w.commands import recover
 def fail(*_): raise {error}
 recover.recover = fail
 """

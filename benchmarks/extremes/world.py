@@ -19,18 +19,18 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from dante_w import cli
-from dante_w.model import presets
-from dante_w.model.fields import ModelSpec
-from dante_w.model.fused import FusedStep
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.optimise import Schedule
+from dante_w.commands import cli
+from dante_w.contract.scene_folder import Camera, Frame, Scene, write_scene
+from dante_w.field import presets
+from dante_w.field.cpu.step import FusedStep
+from dante_w.field.fields import ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.optimise import Schedule
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import read_texture, write_exr
 from dante_w.scene.mesh import Mesh, write_obj
-from dante_w.scene.scene_folder import Camera, Frame, Scene, write_scene
-from dante_w.traced import solve
+from dante_w.traced import pipeline as solve
 from measure.synthetic_scene import light_at
 
 QUADS, PHOTOS, LIGHTS, SIDE = 14, 8, 3, 96

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from functools import partial
 
 import torch
-from dante_w.model import triton_grid
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.optimise import LossTerms, Step
-from dante_w.model.triton_step import TritonStep
+from dante_w.field.cuda import grid as triton_grid
+from dante_w.field.cuda.step import TritonStep
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.optimise import LossTerms, Step
 from dante_w.rays.ray_cache import Samples
 from measure.stages import Stage
 

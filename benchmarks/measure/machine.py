@@ -10,7 +10,7 @@ from pathlib import Path
 
 import psutil
 import torch
-from dante_w.doctor import library_versions
+from dante_w.commands.doctor import library_versions
 from measure.command import ROOT
 
 

@@ -7,13 +7,13 @@ from functools import partial
 
 import numba
 import numpy as np
-from dante_w.model import fused
-from dante_w.model.fields import Model
-from dante_w.model.kernels import BLOCK
-from dante_w.model.kernels.adam import adam
-from dante_w.model.kernels.decoder import OUTPUTS, Decoder, decode, decode_backward
-from dante_w.model.kernels.grid import encode, load, scatter
-from dante_w.model.kernels.loss import Shown, Weights, loss_backward
+from dante_w.field.cpu import step as fused
+from dante_w.field.cpu.kernels import BLOCK
+from dante_w.field.cpu.kernels.adam import adam
+from dante_w.field.cpu.kernels.decoder import OUTPUTS, Decoder, decode, decode_backward
+from dante_w.field.cpu.kernels.grid import encode, load, scatter
+from dante_w.field.cpu.kernels.loss import Shown, Weights, loss_backward
+from dante_w.field.fields import Model
 from dante_w.rays.ray_cache import Samples
 from measure.stages import Stage
 

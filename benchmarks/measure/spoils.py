@@ -12,10 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from dante_w.contract.scene_folder import Frame, Scene, read_scene, write_scene
 from dante_w.rays.raycast import Frame3D
 from dante_w.scene.images import read_photo, write_png
 from dante_w.scene.mesh import Mesh, read_mesh, write_obj
-from dante_w.scene.scene_folder import Frame, Scene, read_scene, write_scene
 from measure.metrics import linear_from_srgb, srgb_from_linear
 from measure.pictures import write
 from measure.views import Viewer

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from dante_w.contract.scene_folder import Camera, Frame, Scene, write_scene
 from dante_w.rays.ray_cache import Samples
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.mesh import Mesh, write_obj
-from dante_w.scene.scene_folder import Camera, Frame, Scene, write_scene
 from measure.metrics import srgb_from_linear
 from measure.pictures import write
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from dante_w.contract.scene_folder import Camera, Frame, read_scene
 from dante_w.rays.raycast import Frame3D, Hits, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.mesh import read_mesh
-from dante_w.scene.scene_folder import Camera, Frame, read_scene
 from measure.metrics import linear_from_srgb, srgb_from_linear
 from measure.pictures import read
 

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import lagrange
 import numpy as np
-from dante_w.errors import BadInput, DanteError
+from dante_w.contract.errors import BadInput, DanteError
+from dante_w.contract.scene_folder import Frame
 from dante_w.rays.raycast import Frame3D
 from dante_w.scene.images import read_photo, write_png
 from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import Mesh
-from dante_w.scene.scene_folder import Frame
 
 LOW_CONFIDENCE = 0.75  #: lagrange's default: the share of a texel's best weight that a photo needs to count
 

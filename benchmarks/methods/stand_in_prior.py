@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from dante_w.scene.scene_folder import read_scene
+from dante_w.contract.scene_folder import read_scene
 from measure.metrics import linear_from_srgb, srgb_from_linear
 from measure.pictures import read, write
 from measure.views import Surface, Viewer, linear_texture

@@ -24,14 +24,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from dante_w import cli, recover_field, recover_traced, stages
-from dante_w.errors import BAD_INPUT
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.presets import PRESETS, Preset
-from dante_w.model.pyramid import PyramidSpec
+from dante_w.commands import cli, recover_field, recover_traced, stages
+from dante_w.contract.errors import BAD_INPUT
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.presets import PRESETS, Preset
+from dante_w.field.pyramid import PyramidSpec
 from dante_w.rays import ray_cache
 from dante_w.rays.ray_cache import RayCache
-from dante_w.traced import lights, shading_points, transfer
+from dante_w.traced import light_transport as transfer
+from dante_w.traced import shading_points
+from dante_w.traced.solver import solve_lights as lights
 from torch import nn
 
 #: The final pass goes with the main one, as in the presets, unless it is changed itself.

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dante_w.contract.scene_folder import Camera, Frame, Scene, write_scene
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import read_texture
 from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import Mesh, write_obj
-from dante_w.scene.scene_folder import Camera, Frame, Scene, write_scene
 from measure.metrics import srgb_from_linear
 from measure.pictures import write
 from methods import lagrange_texturing

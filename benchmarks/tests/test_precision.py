@@ -9,8 +9,8 @@ import numpy as np
 import precision
 import pytest
 import torch
-from dante_w.model import fused
-from dante_w.model.fields import Model
+from dante_w.field.cpu import step as fused
+from dante_w.field.fields import Model
 from precision import EXACT, Row, Way, measure, one_step, texture
 
 FLOAT32 = Way("float32", torch.float32)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dante_w.contract.scene_folder import Scene, read_scene, write_scene
 from dante_w.rays.raycast import Frame3D
 from dante_w.scene.images import read_photo
 from dante_w.scene.mesh import read_mesh, write_obj
-from dante_w.scene.scene_folder import Scene, read_scene, write_scene
 from measure.metrics import linear_from_srgb
 from measure.spoils import CLIPPED, COVERED, SPOILS, spoilt
 from measure.synthetic_scene import bumpy_sphere, write_photos

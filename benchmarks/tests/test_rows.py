@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict
 
 import gigalit
-from dante_w import cli
+from dante_w.commands import cli
 from measure.tables import Row
 from methods.rows import NO_PRIOR, methods
 

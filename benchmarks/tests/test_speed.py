@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import speed
 import torch
-from dante_w.model import presets
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.fused import FusedStep
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.optimise import TorchStep
+from dante_w.field import presets
+from dante_w.field.cpu.step import FusedStep
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.optimise import TorchStep
 from measure.stages import Stage, measure
 
 SPEC = ModelSpec(GridSpec(2, 3, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 10), hidden=8, embedding=2)

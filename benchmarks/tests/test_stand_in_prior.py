@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dante_w.scene.scene_folder import read_scene
+from dante_w.contract.scene_folder import read_scene
 from measure.metrics import psnr
 from measure.pictures import read, write
 from measure.views import Surface, Viewer, linear_texture

@@ -125,7 +125,7 @@ def test_a_kept_run_is_named_after_all_it_hangs_on(scene, tmp_path, monkeypatch)
 
 
 def test_code_digest_sees_the_backend(tmp_path, monkeypatch):
-    names = ["backend/dante_w/model/fit.py", "benchmarks/methods/variant.py"]
+    names = ["backend/dante_w/field/fit.py", "benchmarks/methods/variant.py"]
     names += [f"benchmarks/measure/{name}.py" for name in ("score", "metrics", "views", "pictures")]
     monkeypatch.setattr(tradeoff, "ROOT", tmp_path)
     monkeypatch.setattr(tradeoff, "VARIANT", tmp_path / names[1])

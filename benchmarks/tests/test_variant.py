@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dante_w.model.fields import Model, ModelSpec
-from dante_w.model.hash_encoding import GridSpec
-from dante_w.model.presets import PRESETS
+from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.hash_encoding import GridSpec
+from dante_w.field.presets import PRESETS
 from dante_w.rays.ray_cache import RayCache, Surface
 from measure.command import ROOT
 from measure.synthetic_scene import bumpy_sphere, write_photos, write_scene_folder

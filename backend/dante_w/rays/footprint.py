@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dante_w.contract.scene_folder import Frame
 from dante_w.rays.ray_cache import GRAZING, face_geometry, footprints
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.mesh import Mesh
-from dante_w.scene.scene_folder import Frame
 
 #: Evenly spread photos that are looked at, at most, and pixels along either side of each.
 PHOTOS, PIXELS = 64, 48

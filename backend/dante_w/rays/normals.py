@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import prange
 
-from dante_w.jit import njit_parallel
+from dante_w.core.jit import njit_parallel
 from dante_w.scene.mesh import Mesh
 
 #: Faces that are turned further from each other meet in an edge.

@@ -21,16 +21,16 @@ import numpy as np
 import psutil
 import torch
 
-from dante_w.errors import BadInput
-from dante_w.jit import njit_fast
-from dante_w.rays.edges import edge_distances
-from dante_w.rays.levels import levelled
+from dante_w.contract.errors import BadInput
+from dante_w.contract.scene_folder import Frame
+from dante_w.core.jit import njit_fast
+from dante_w.rays.depth_edges import edge_distances
 from dante_w.rays.normals import corner_normals
+from dante_w.rays.radiance_levels import levelled
 from dante_w.rays.raycast import Frame3D, Hits, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import Photo, read_photo, read_prior
 from dante_w.scene.mesh import Mesh
-from dante_w.scene.scene_folder import Frame
 
 #: Surfaces seen at a flatter angle than this cosine are left out: their pixels smear over many texels.
 GRAZING = 0.1

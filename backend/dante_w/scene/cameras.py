@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dante_w.errors import BadInput
-from dante_w.scene.scene_folder import Camera
+from dante_w.contract.errors import BadInput
+from dante_w.contract.scene_folder import Camera
 
 TOLERANCE = 0.01  #: pixels by which a ray may miss the pixel it was cast for
 

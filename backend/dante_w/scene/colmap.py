@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dante_w.errors import BadInput
+from dante_w.contract.errors import BadInput
+from dante_w.contract.scene_folder import MESH_SUFFIXES, Camera, Frame, Scene
 from dante_w.scene.cameras import check_camera
-from dante_w.scene.scene_folder import MESH_SUFFIXES, Camera, Frame, Scene
 
 _FOLDERS = (".", "sparse/0", "sparse", "colmap/sparse/0")
 

@@ -16,8 +16,8 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import psutil
 
-from dante_w.color import linear_from_srgb_array, srgb_from_linear_array
-from dante_w.errors import BadInput, OutOfRoom
+from dante_w.contract.errors import BadInput, OutOfRoom
+from dante_w.core.color import linear_from_srgb_array, srgb_from_linear_array
 
 FORMATS = ("png", "jpeg", "tiff", "openexr", "hdr", "webp")
 MAX_SAMPLES = 2**30  #: width x height x channels, a 16384 x 16384 RGBA texture; more is a broken header

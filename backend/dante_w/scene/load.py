@@ -6,11 +6,11 @@ import dataclasses
 import math
 from pathlib import Path
 
-from dante_w.errors import BadInput
+from dante_w.contract.errors import BadInput
+from dante_w.contract.scene_folder import Frame, Scene, read_scene
 from dante_w.scene.colmap import is_colmap, read_colmap
 from dante_w.scene.images import read_size
 from dante_w.scene.mesh import Mesh, read_mesh
-from dante_w.scene.scene_folder import Frame, Scene, read_scene
 
 
 def load_scene(

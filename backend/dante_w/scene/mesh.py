@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dante_w.errors import BadInput, OutOfRoom
+from dante_w.contract.errors import BadInput, OutOfRoom
 from dante_w.scene.mesh_glb import parse_glb
 from dante_w.scene.mesh_obj import parse_obj
 from dante_w.scene.mesh_ply import parse_ply

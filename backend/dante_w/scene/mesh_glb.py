@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dante_w.errors import BadInput
+from dante_w.contract.errors import BadInput
 from dante_w.scene.mesh_obj import Arrays
 
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dante_w.errors import BadInput
+from dante_w.contract.errors import BadInput
 from dante_w.scene.mesh_fan import fan
 
 #: Vertices, faces, UVs and normals.

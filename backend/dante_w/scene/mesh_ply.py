@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dante_w.errors import BadInput
+from dante_w.contract.errors import BadInput
 from dante_w.scene.mesh_fan import fan
 from dante_w.scene.mesh_obj import Arrays, scan
 

@@ -19,11 +19,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dante_w.jit import njit
-from dante_w.texture import pushpull
+from dante_w.core.jit import njit
+from dante_w.texture import pyramid_fill as pushpull
 from dante_w.texture.coverage import Coverage, seen
-from dante_w.texture.texture_encoding import decode_rows, encode_rows
-from dante_w.texture.uvmap import Bins, bin_faces, rasterise_bins, rasterise_border
+from dante_w.texture.encoding import decode_rows, encode_rows
+from dante_w.texture.rasterise import Bins, bin_faces, rasterise_bins, rasterise_border
 
 OUTSIDE, BORDER, FILLED, SEEN = 0, 64, 128, 255  # BORDER only while baking
 

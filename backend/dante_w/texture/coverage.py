@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dante_w.jit import njit
+from dante_w.core.jit import njit
 
 
 @dataclass(frozen=True)

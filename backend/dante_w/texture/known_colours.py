@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dante_w.color import linear_from_srgb_array
-from dante_w.errors import BadInput
+from dante_w.contract.errors import BadInput
+from dante_w.core.color import linear_from_srgb_array
 
 #: Radius of the disc around a spot whose median counts, in sides of the texture; at least one texel.
 RADIUS = 1.0 / 256.0

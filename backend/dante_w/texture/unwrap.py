@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dante_w.errors import BadInput, OutOfRoom
+from dante_w.contract.errors import BadInput, OutOfRoom
 from dante_w.scene.mesh import Mesh
 
 PADDING = 4  #: texels between charts

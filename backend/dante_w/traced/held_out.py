@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from dante_w.color import srgb_from_linear_array
-from dante_w.traced.gloss import sheen
-from dante_w.traced.lights import Lights, Parts
-from dante_w.traced.projection import FAINTEST, OUTLIER
+from dante_w.core.color import srgb_from_linear_array
+from dante_w.traced.light_transport import Transfer
 from dante_w.traced.shading_points import Observations, ShadingPoints
-from dante_w.traced.transfer import Transfer
+from dante_w.traced.solver.solve_lights import Lights, Parts
+from dante_w.traced.solver.variable_projection import FAINTEST, OUTLIER
+from dante_w.traced.specular import sheen
 
 #: Rows of cells that take turns in fitting and scoring.
 BAND = 8

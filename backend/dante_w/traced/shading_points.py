@@ -13,10 +13,10 @@ from functools import lru_cache
 import numpy as np
 from numba import prange
 
-from dante_w.color import linear_from_srgb_array
-from dante_w.jit import njit, njit_parallel
+from dante_w.core.color import linear_from_srgb_array
+from dante_w.core.jit import njit, njit_parallel
 from dante_w.rays.ray_cache import RayCache, Surface, on_surface
-from dante_w.traced.robust import ALL, CLIPPED, NEAR_EDGE, Weights
+from dante_w.traced.pixel_weights import ALL, CLIPPED, NEAR_EDGE, Weights
 
 #: Cells along either side of the texture, at most, for most presets: no finer than the pixels of this part of the samples,
 #: or photos would hardly ever show the same ones.

@@ -14,8 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dante_w.rays.raycast import Raycaster
-from dante_w.traced.evenness import agreement
-from dante_w.traced.lights import (
+from dante_w.traced.light_transport import Transfer, sunlit, with_suns
+from dante_w.traced.shading_points import Observations, ShadingPoints
+from dante_w.traced.solver.smoothness_prior import agreement
+from dante_w.traced.solver.solve_lights import (
     FIRST_STEPS,
     LAST_STEPS,
     Evidence,
@@ -26,9 +28,7 @@ from dante_w.traced.lights import (
     refine,
     sums,
 )
-from dante_w.traced.projection import FAINTEST
-from dante_w.traced.shading_points import Observations, ShadingPoints
-from dante_w.traced.transfer import Transfer, sunlit, with_suns
+from dante_w.traced.solver.variable_projection import FAINTEST
 
 #: Of `SPHERE` parts, the brightest one is to be this much brighter than the mean.
 PEAK, SPHERE = 16.0, 256

@@ -1,0 +1,133 @@
+"""The command `dante-w`. See docs/architecture.md for its JSON lines and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from dante_w import __version__
+from dante_w.commands.worker import run
+from dante_w.contract.errors import BAD_INPUT, DONE
+from dante_w.run import distributed
+
+#: Parts of the light that a plan decides on, see `traced.lights.Parts`.
+PARTS = ("groups", "exposures", "bounce", "gloss", "sun")
+
+
+def main(arguments: Sequence[str] | None = None, leave: Callable[[int], Any] = os._exit) -> int:
+    """Parse, run, and return the exit code, or call `leave` with it, see `job.run`."""
+    options = parse(arguments)
+    if options.command == "doctor":
+        from dante_w.commands.doctor import examine
+
+        print(json.dumps(examine()) if options.json else "\n".join(f"{k}: {v}" for k, v in examine().items()))
+        return DONE
+    return run(options.command, options, leave)
+
+
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """The options of a command line; raises SystemExit where it makes no sense."""
+    return _parser().parse_args(arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="dante-w", description="Diffuse albedo textures from posed photos of a mesh.")
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    recover = commands.add_parser("recover", help="recover the albedo texture of a scene")
+    plan = commands.add_parser("plan", help="say what recover would model of a scene, and why")
+    average = commands.add_parser("average", help="average the photos on the texture: light stays baked in")
+    doctor = commands.add_parser("doctor", help="say which device, libraries and memory would be used")
+    for command in (recover, average, plan):
+        command.add_argument("scene", type=Path, help="scene folder, or the parent of a COLMAP model")
+        command.add_argument("--mesh", type=Path, help="OBJ, PLY or GLB, if not the scene's own")
+        command.add_argument("--images", type=Path, help="photos of a COLMAP model (default: images/)")
+        command.add_argument(
+            "--texture-size", type=_size, metavar="N", help="texels a side (default: as fine as the photos)"
+        )
+        command.add_argument("--format", choices=("png", "png16", "exr"), default="png")
+        command.add_argument("--unwrap", action="store_true", help="make new UVs; mesh.obj is written too")
+    for command in (recover, average):
+        command.add_argument("--out", type=Path, required=True, help="folder for the result")
+    for command in (recover, plan):
+        command.add_argument("--priors", type=Path, metavar="DIR", help="albedo images named like the photos")
+        command.add_argument("--preset", choices=("draft", "standard", "high", "paper"), default="standard")
+        command.add_argument(
+            "--lambda", dest="prior_weight", type=_weight, default=1.0, metavar="X", help="prior weight"
+        )
+        command.add_argument("--seed", type=int, default=0)
+        command.add_argument(
+            "--irradiance",
+            choices=("traced", "field"),
+            help="light traced through the mesh (default), or the paper's field over space",
+        )
+        for option, name, help_text in (
+            ("--model", "model", "model this part of the light whatever the plan finds (repeatable)"),
+            ("--leave-out", "leave_out", "do not model this part (repeatable)"),
+        ):
+            command.add_argument(
+                option, dest=name, action="append", choices=PARTS, default=[], help=help_text
+            )
+    recover.add_argument(
+        "--known",
+        nargs=3,
+        action=_Known,
+        default=[],
+        metavar=("U", "V", "COLOUR"),
+        help="albedo at a texture coordinate: grey, or sRGB like #7A7A79 (repeatable)",
+    )
+    recover.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda", "mps"),
+        default="auto",
+        help="for --irradiance field (auto: a GPU if one works); traced light always runs on the CPU",
+    )
+    recover.add_argument(
+        "--resume", action="store_true", help="go on from where a killed run of the same got to"
+    )
+    recover.add_argument("--keep-held-out", action="store_true", help="never fit to the held-out photos")
+    ablations = recover.add_argument_group("ablations of the paper")
+    ablations.add_argument("--no-photometric", action="store_true", help="lift the priors only (w/o PR)")
+    ablations.add_argument("--equal-bands", action="store_true", help="irradiance as fine as albedo")
+    plan.set_defaults(known=[], out=None)
+    for command in (recover, average, plan, doctor):
+        command.add_argument("--json", action="store_true", help="one JSON object a line")
+    return parser
+
+
+class _Known(argparse.Action):
+    """Appends a `KnownColour`."""
+
+    def __call__(self, parser, namespace, values, option_string=None):  # type: ignore[no-untyped-def]
+        from dante_w.texture.known_colours import parse
+
+        try:
+            setattr(namespace, self.dest, [*getattr(namespace, self.dest), parse(*values)])
+        except ValueError as error:
+            parser.error(f"argument {option_string}: {error}")
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str):  # type: ignore[no-untyped-def]
+        if "--json" in sys.argv and distributed.rank() == 0:
+            print(json.dumps({"stage": "error", "code": BAD_INPUT, "message": message}), flush=True)
+        super().error(message)
+
+
+def _size(text: str) -> int:
+    size = int(text)
+    if not 1 <= size <= 16384:
+        raise argparse.ArgumentTypeError("a texture is 1 to 16384 texels a side")
+    return size
+
+
+def _weight(text: str) -> float:
+    weight = float(text)
+    if not 0.0 <= weight < float("inf"):
+        raise argparse.ArgumentTypeError("lambda is a number from 0 up")
+    return weight

@@ -1,0 +1,248 @@
+"""Recovery by light traced through the mesh: lights first, then the albedo in closed form; and its plan."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dante_w.commands.plan_report import Decision, directions, light, memory, normals, samples, time
+from dante_w.commands.stages import (
+    GUTTER,
+    TEXEL_TYPES,
+    bake_files,
+    begin,
+    check_exposed,
+    known_gain,
+    look,
+    nearest,
+    pixels,
+    prepare,
+    say_expected,
+    say_plan,
+    write_report,
+)
+from dante_w.contract.scene_folder import Scene
+from dante_w.estimate.expectation import QUALITY, Expectation, Work, predict
+from dante_w.estimate.memory import (
+    AVERAGED,
+    BOUNCE,
+    LATER,
+    TRANSFER,
+    cache_bytes,
+    lights_bytes,
+    resident,
+    room,
+    texture_bytes,
+)
+from dante_w.estimate.pace import Texture, measure, take
+from dante_w.estimate.traced_pace import TracedPace, TracedWork, measure_traced, predict_traced
+from dante_w.field.presets import PRESETS
+from dante_w.rays.ray_cache import RayCache
+from dante_w.run.checkpoints import Checkpoints, open_checkpoints
+from dante_w.run.progress import Progress
+from dante_w.scene.held_out import choose_held_out
+from dante_w.scene.mesh import Mesh
+from dante_w.traced.model_selection import Fixed, choose_parts
+from dante_w.traced.pipeline import Traced, examine, recover_albedo
+from dante_w.traced.solver.solve_lights import Lights, Parts
+
+#: Directions that light comes from: fewer lose the shadows' edges, more cost time (squared) and tell no more.
+DIRECTIONS = {"draft": 64, "standard": 256, "high": 256, "paper": 256}
+#: Shading points along either side of the texture, in multiples of `shading_points.SIDE`.
+FINER = {"high": 2}
+#: Parts that a preset leaves out: on the bust of the README suns take a third of `draft`'s time, for 1.7 dB after gain.
+LEFT_OUT = {"draft": ("sun",)}
+#: Presets whose lights go on from those that the plan has found. With `standard` that is 4 s less, too, but loses 0.17 dB after gain and 0.3
+#: as it is (means of four objects and three seeds).
+GOES_ON = ("draft",)
+#: For a plan alone.
+FEW_DIRECTIONS = 64
+
+
+def recover_traced(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+    """Light traced through the mesh. Arguments and errors as `recover.recover`."""
+    begun = _start(options, staging, progress)
+    scene, mesh = begun.scene, begun.mesh
+    kept = open_checkpoints(options, scene, mesh)
+    seen = look(scene, mesh, begun.size, kept, staging, progress)
+    cache, coverage, size = seen.cache, seen.coverage, seen.coverage.width
+    check_exposed(scene, cache)
+    of, planned, plan = _plan(options, begun, cache, DIRECTIONS[options.preset], progress, kept)
+    progress.expect(_to_come(begun, cache, of, planned))
+    lights = planned.begun if options.preset in GOES_ON else None
+    texture, facts = recover_albedo(
+        of, cache, mesh, size, planned.parts, lights, options.seed, progress, kept
+    )
+    texels = nearest(texture)
+    gain = known_gain(texels, coverage, options.known)
+    covered = bake_files(nearest(texture * gain), mesh, coverage, options.format, staging, progress)
+    return write_report(
+        options,
+        staging,
+        progress,
+        photos=len(scene.frames),
+        samples=len(cache),
+        priors=sum(frame.albedo is not None for frame in scene.frames),
+        plan=[asdict(decision) for decision in plan],
+        coverage=covered,
+        resumed=kept.resumed,
+        albedo_gain=[round(float(g), 4) for g in gain],
+        held_out_photos=[scene.frames[i].image.name for i in choose_held_out(len(scene.frames))],
+        texture_size=size,
+        expected=begun.expected,
+        **facts,
+    )
+
+
+def plan_traced(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+    """Decide what to model and say so, without doing it. Arguments and errors as `recover.recover`."""
+    begun = _start(options, staging, progress)
+    progress.expect({stage: progress.expected[stage] for stage in ("rays", "transfer", "plan")})
+    cache = look(begun.scene, begun.mesh, begun.size, None, staging, progress).cache
+    check_exposed(begun.scene, cache)
+    decisions = _plan(options, begun, cache, FEW_DIRECTIONS, progress)[2]
+    return {
+        "plan": [asdict(decision) for decision in decisions],
+        "texture_size": begun.size,
+        "samples": len(cache),
+    }
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """A run before its rays: how large its texture is to be and why, the bytes that it held, and what it is expected to take:
+    `later` stages from `pace` and `work` and by themselves."""
+
+    scene: Scene
+    mesh: Mesh
+    size: int
+    texture: Decision
+    held: int
+    expected: dict[str, Any]
+    pace: TracedPace
+    work: TracedWork
+    later: dict[str, float]
+
+
+def _start(options: argparse.Namespace, staging: Path, progress: Progress) -> _Begun:
+    scene, mesh, size, texture = prepare(
+        options, options.priors, PRESETS[options.preset].texture_size, AVERAGED, staging, progress
+    )
+    sample = take(scene.frames, mesh)
+    all_pixels, kind = pixels(scene.frames), TEXEL_TYPES[options.format]
+    work = Work(len(scene.frames), all_pixels, size**2)
+    around = predict(measure(sample, mesh, Texture(size, kind, GUTTER), staging), work)
+    count = DIRECTIONS[options.preset]
+    suns = _fixed(options).get("sun", Fixed(True)).on
+    finer = FINER.get(options.preset, 1)
+    goes_on = options.preset in GOES_ON
+    pace, own = measure_traced(sample, len(scene.frames), all_pixels, count, size**2, suns, goes_on, finer)
+    later = {name: around.pop(name) for name in ("bake", "write")}
+    to_come = around | predict_traced(pace, own) | later
+    begin(progress, to_come)
+    priors = options.prior_weight > 0.0 and any(frame.albedo for frame in scene.frames)
+    quality = None if priors else QUALITY["traced"][options.preset]
+    expectation = Expectation(progress.seconds | to_come, quality)
+    if options.command == "recover":
+        say_expected(options, expectation, priors, progress)
+    expected = expectation.as_dict()
+    return _Begun(scene, mesh, size, texture, resident(), expected, pace, own, later)
+
+
+@dataclass(frozen=True)
+class _Planned:
+    parts: Parts
+    decisions: list[Decision]
+    begun: Lights | None
+
+    def lights(self, of: Traced) -> int:
+        """How many to expect."""
+        if self.begun:
+            return len(self.begun.radiance)
+        return int(of.groups.max()) + 1 if self.parts.groups else 1
+
+
+def _plan(
+    options: argparse.Namespace,
+    begun: _Begun,
+    cache: RayCache,
+    count: int,
+    progress: Progress,
+    kept: Checkpoints | None = None,
+) -> tuple[Traced, _Planned, list[Decision]]:
+    """Trace light from `count` directions, decide what to model, and say so."""
+
+    def trace() -> Traced:
+        finer, frames = FINER.get(options.preset, 1), begun.scene.frames
+        return examine(cache, begun.mesh, frames, count, options.prior_weight, progress, finer)
+
+    of = kept.done("transfer", Traced, trace) if kept else trace()
+    progress.update("plan", 0.0, 1.0)
+
+    def choose() -> _Planned:
+        chosen = choose_parts(
+            of.cameras,
+            of.points,
+            of.seen,
+            of.transfer,
+            of.exposures,
+            of.groups,
+            _fixed(options),
+            options.seed,
+            lambda done, trials: progress.update("plan", done, trials),
+        )
+        return _Planned(*chosen)
+
+    planned = kept.done("plan", _Planned, choose) if kept else choose()
+    seconds = begun.expected["seconds"] | _to_come(begun, cache, of, planned)
+    decisions = [
+        begun.texture,
+        light("traced", options.irradiance is not None),
+        normals(begun.mesh.normals is not None),
+        directions(DIRECTIONS[options.preset], options.preset, len(of.points)),
+        samples(len(cache), pixels(begun.scene.frames), cache.prior is not None),
+        _memory(options, begun, cache, of, planned.lights(of)),
+        time(seconds),
+        *planned.decisions,
+    ]
+    say_plan(options, decisions, progress)
+    return of, planned, decisions
+
+
+def _fixed(options: argparse.Namespace) -> dict[str, Fixed]:
+    """The parts that the preset decides, and the user, who has the last word."""
+    by_preset = dict.fromkeys(LEFT_OUT.get(options.preset, ()), Fixed(False, f"the preset {options.preset}"))
+    by_user = dict.fromkeys(options.model, Fixed(True)) | dict.fromkeys(options.leave_out, Fixed(False))
+    return by_preset | by_user
+
+
+def _to_come(begun: _Begun, cache: RayCache, of: Traced, planned: _Planned) -> dict[str, float]:
+    """Seconds of the stages from `transfer` on, now that it is known what there is to do."""
+    work = replace(
+        begun.work,
+        samples=len(cache),
+        points=len(of.points),
+        observations=len(of.seen.point),
+        lights=planned.lights(of),
+        suns=planned.parts.sun,
+        goes_on=begun.work.goes_on and planned.begun is not None,
+    )
+    return predict_traced(begun.pace, work) | begun.later
+
+
+def _memory(options: argparse.Namespace, begun: _Begun, cache: RayCache, of: Traced, lights: int) -> Decision:
+    """What the run will need at most: while lights are solved for, or while the texture is made."""
+    count, photos = DIRECTIONS[options.preset], len(of.cameras)
+    held = {
+        "libraries and mesh": begun.held + LATER,
+        "samples": cache_bytes(len(cache), cache.prior is not None),
+        "transfer": TRANSFER * len(of.points) * count + BOUNCE * len(of.transfer.weight),
+    }
+    solving = lights_bytes(len(of.seen.point), lights, count, photos)
+    making = texture_bytes(begun.size, int(np.diff(cache.starts).max()))
+    last = {"lights": solving} if solving > making else {"texture": making}
+    return memory(sum(held.values()) + max(solving, making), room(), held | last)

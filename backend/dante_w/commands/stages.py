@@ -1,0 +1,258 @@
+"""Stages that every command shares: the scene, the rays, the files."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dante_w import __version__
+from dante_w.commands.doctor import library_versions
+from dante_w.commands.plan_report import Decision, texture_side
+from dante_w.contract.errors import BadInput
+from dante_w.contract.scene_folder import Frame, Scene
+from dante_w.estimate.expectation import Expectation, Work, predict, since_start
+from dante_w.estimate.memory import cache_bytes, resident, room
+from dante_w.estimate.pace import Texture, measure, take
+from dante_w.rays.footprint import glance
+from dante_w.rays.ray_cache import RayCache, trace
+from dante_w.run.checkpoints import Checkpoints
+from dante_w.run.device import peak_memory
+from dante_w.run.progress import Progress
+from dante_w.run.result_folder import REPORT
+from dante_w.scene.images import write_exr, write_png
+from dante_w.scene.load import load_scene
+from dante_w.scene.mesh import Mesh, write_obj
+from dante_w.texture.bake import Texels, bake
+from dante_w.texture.coverage import Coverage, empty_coverage, mark
+from dante_w.texture.coverage import seen as seen_texels
+from dante_w.texture.known_colours import KnownColour, gain
+from dante_w.texture.rasterise import check_uvs
+from dante_w.texture.unwrap import unwrap
+from dante_w.traced.pixel_weights import CLIPPED
+
+#: Texels beyond each chart that are painted, so that mipmaps and bilinear lookups do not bleed.
+GUTTER = 16
+TEXEL_TYPES = {"png": np.uint8, "png16": np.uint16, "exr": np.float16}
+#: Texels a side at which known colours are looked up.
+LOOKUP = 1024
+
+
+def prepare(
+    options: argparse.Namespace, priors: Path | None, most: int, texel: int, staging: Path, progress: Progress
+) -> tuple[Scene, Mesh, int, Decision]:
+    """The scene, its mesh with UVs, the texels along a side of the texture, at `most` so many unless the user wants more, and
+    why so many. `texel`: bytes that one takes while the texture is made."""
+    scene, mesh = load_scene(options.scene, options.mesh, options.images, priors)
+    name = options.mesh or scene.mesh or scene.source
+    if options.unwrap:
+        mesh = dataclasses.replace(mesh, uvs=None)
+    else:
+        check_uvs(mesh.uvs, name)
+    seen = glance(mesh, scene.frames)
+    samples = round(seen.share * pixels(scene.frames))
+    held = resident() + cache_bytes(samples, any(frame.albedo for frame in scene.frames))
+    size, decision = texture_side(seen.footprint, most, options.texture_size, texel, room() - held)
+    progress.update("scene", 1, 1)
+    if options.unwrap:
+        mesh = unwrap(mesh, lambda done: progress.update("unwrap", done, 1.0), size)
+        write_obj(staging / "mesh.obj", mesh)
+        check_uvs(mesh.uvs, name)
+    return scene, mesh, size, decision
+
+
+def say_plan(options: argparse.Namespace, decisions: list[Decision], progress: Progress) -> None:
+    """Say what is modelled, and why; a plan alone is what standard output is for."""
+    progress.close()
+    if options.json:
+        progress.say({"stage": "planned", "decisions": [dataclasses.asdict(each) for each in decisions]})
+        return
+    for line in decisions:
+        out = sys.stdout if options.command == "plan" else sys.stderr
+        print(f"{line.what}: {line.choice} ({line.reason}; {line.costs})", file=out, flush=True)
+
+
+def expect_no_fit(
+    options: argparse.Namespace, scene: Scene, mesh: Mesh, size: int, staging: Path, progress: Progress
+) -> None:
+    """Begin a run whose texture needs no fit, with what its stages will take."""
+    work = Work(len(scene.frames), pixels(scene.frames), size**2)
+    texture = Texture(size, TEXEL_TYPES[options.format], GUTTER)
+    begin(progress, predict(measure(take(scene.frames, mesh), mesh, texture, staging), work))
+
+
+def begin(progress: Progress, to_come: dict[str, float]) -> None:
+    """End the stages that only prepare, count the time before them as one more, and expect the others."""
+    progress.close()
+    start = max(since_start() - sum(progress.seconds.values()), 0.0)
+    progress.seconds = {"start": round(start, 3), **progress.seconds}
+    progress.expect(to_come)
+
+
+def say_expected(
+    options: argparse.Namespace, expected: Expectation, priors: bool, progress: Progress
+) -> dict[str, Any]:
+    """Say what the run will take and what its preset reached elsewhere; returns that for the report."""
+    if options.json:
+        progress.say({"stage": "expected", **expected.as_dict()})
+    else:
+        print(expected.sentence(options.preset, priors), file=sys.stderr, flush=True)
+    return expected.as_dict()
+
+
+def pixels(frames: Iterable[Frame]) -> int:
+    return sum(frame.camera.width * frame.camera.height for frame in frames)
+
+
+def trace_rays(
+    scene: Scene,
+    mesh: Mesh,
+    visit: Callable[[np.ndarray, np.ndarray, np.ndarray], None],
+    staging: Path,
+    progress: Progress,
+) -> RayCache:
+    spill = staging / "rays"
+    spill.mkdir()
+    progress.update("rays", 0.0, 1.0)
+    return trace(mesh, scene.frames, visit, lambda done: progress.update("rays", done, 1.0), spill)
+
+
+@dataclasses.dataclass(frozen=True)
+class Seen:
+    """What the photos see of the mesh, and of the texture."""
+
+    cache: RayCache
+    coverage: Coverage
+
+
+def look(
+    scene: Scene, mesh: Mesh, size: int, kept: Checkpoints | None, staging: Path, progress: Progress
+) -> Seen:
+    """Trace the rays and note which of size x size texels they meet, unless that was kept."""
+
+    def work() -> Seen:
+        coverage = empty_coverage(size, size)
+
+        def visit(uv: np.ndarray, footprint: np.ndarray, _: np.ndarray) -> None:
+            mark(coverage, uv, footprint * size)
+
+        return Seen(trace_rays(scene, mesh, visit, staging, progress), coverage)
+
+    return kept.done("rays", Seen, work) if kept else work()
+
+
+def check_exposed(scene: Scene, cache: RayCache) -> None:
+    """Make sure that some photo shows more of the mesh than black and white.
+
+    Raises:
+        BadInput: none does.
+    """
+    for first, end in zip(cache.starts[:-1], cache.starts[1:], strict=True):
+        colour = np.asarray(cache.colour[first:end], np.float32)
+        if ((colour.max(axis=1, initial=0.0) > 0.0) & (colour < CLIPPED).any(axis=1)).any():
+            return
+    raise BadInput(
+        f"{scene.frames[0].image.parent}: all photos are black or overexposed where they show the mesh; use others."
+    )
+
+
+def nearest(texture: np.ndarray) -> Texels:
+    """The texels of a square texture that is there already."""
+    size = len(texture)
+
+    def texels(uv: np.ndarray) -> np.ndarray:
+        column = (uv[:, 0] * size).astype(np.int64).clip(0, size - 1)
+        row = ((1.0 - uv[:, 1]) * size).astype(np.int64).clip(0, size - 1)
+        return np.minimum(texture[row, column], 1.0)
+
+    return texels
+
+
+def known_gain(texels: Texels, coverage: Coverage, known: list[KnownColour]) -> np.ndarray:
+    """The gain (3,) on linear albedo that brings it to the colours that the user knows; 1 if there are none.
+
+    Raises:
+        BadInput: see `known_colours.gain`.
+    """
+    if not known:
+        return np.ones(3)
+    side = min(coverage.width, LOOKUP)
+    centre = (np.arange(side) + 0.5) / side
+    u, v = np.meshgrid(centre, 1.0 - centre)
+    texture = texels(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(side, side, 3)
+    place = (centre * coverage.width).astype(np.int64)
+    return gain(texture, seen_texels(coverage)[np.ix_(place, place)], known)
+
+
+def bake_files(
+    texels: Texels, mesh: Mesh, coverage: Coverage, kind: str, staging: Path, progress: Progress
+) -> float:
+    """Write the albedo and coverage images; returns the fraction of the texels on the mesh that were seen."""
+    assert mesh.uvs is not None
+    shape = (coverage.height, coverage.width)
+    files = {"albedo.raw": (*shape, 3), "coverage.raw": shape}
+    kinds = {"albedo.raw": TEXEL_TYPES[kind], "coverage.raw": np.uint8}
+    out, marks = (_mapped(staging / name, kinds[name], files[name]) for name in files)
+    seen = bake(
+        texels, mesh.uvs, coverage, GUTTER, out, marks, lambda done: progress.update("bake", done, 1.0)
+    )
+    progress.update("write", 0, 1)
+    if kind == "exr":
+        write_exr(staging / "albedo.exr", out)
+    else:
+        write_png(staging / "albedo.png", out)
+    write_png(staging / "coverage.png", marks)
+    del out, marks
+    for name in files:
+        (staging / name).unlink()
+    progress.update("write", 1, 1)
+    return seen
+
+
+def _mapped(path: Path, kind: type, shape: tuple[int, ...]) -> np.ndarray:
+    """A new file as an array. Its room is taken at once: a mapped file that meets the end of the disk kills the process."""
+    size = math.prod(shape) * np.dtype(kind).itemsize
+    with open(path, "wb") as file:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file.fileno(), 0, size)
+        else:
+            file.truncate(size)
+    return np.memmap(path, kind, "r+", shape=shape)
+
+
+def write_report(
+    options: argparse.Namespace, staging: Path, progress: Progress, **facts: Any
+) -> dict[str, Any]:
+    """Write report.json; returns its content."""
+    progress.close()
+    report = {
+        "dante_w": __version__,
+        "settings": {name: _plain(v) for name, v in vars(options).items()},
+        **facts,
+        "seconds": progress.seconds,
+        "peak_memory_bytes": peak_memory(),
+        "versions": library_versions(),
+    }
+    (staging / REPORT).write_text(json.dumps(report, indent=1), encoding="utf-8")
+    return report
+
+
+def _plain(value: Any) -> Any:
+    """An option as JSON has it."""
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    return (
+        dataclasses.asdict(value)
+        if isinstance(value, KnownColour)
+        else str(value)
+        if isinstance(value, Path)
+        else value
+    )
