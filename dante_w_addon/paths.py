@@ -1,4 +1,4 @@
-"""Where things are: the backend's sources, the scene folder module, folders for runs.
+"""Where things are: the backend's sources, the contract with the backend, folders for runs.
 
 The add-on lives in two layouts, and this is the one module that knows both: in the repository the
 backend lies beside this package, in the installed zip it lies inside it.
@@ -10,7 +10,6 @@ import importlib.util
 import re
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import bpy
 
@@ -28,19 +27,19 @@ def launcher() -> Path:
     return backend_folder() / "launch.py"
 
 
-def _load_scene_folder() -> ModuleType:
-    name = f"{__package__}.scene_folder"
+def _load_contract() -> None:
+    """Make the backend's package `contract` importable as `.contract`: one definition for both sides of the wall."""
+    name, folder = f"{__package__}.contract", backend_folder() / "dante_w" / "contract"
     spec = importlib.util.spec_from_file_location(
-        name, backend_folder() / "dante_w" / "contract" / "scene_folder.py"
+        name, folder / "__init__.py", submodule_search_locations=[str(folder)]
     )
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # before it runs: dataclasses look their module up
+    sys.modules[name] = module
     spec.loader.exec_module(module)
-    return module
 
 
-#: The backend's own format module: one definition for both sides of the wall.
-scene_folder = _load_scene_folder()
+_load_contract()
+from .contract import scene_folder  # noqa: E402, F401
 
 
 def file_name(text: str) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 from conftest import make_scene
-from dante_w.estimate.expectation import QUALITY, Expectation, Quality, Work, predict
+from dante_w.contract.protocol import Quality
+from dante_w.estimate.expectation import QUALITY, Expectation, Work, predict
 from dante_w.estimate.pace import Fitting, Pace, Texture, measure, take
 from dante_w.field.fields import ModelSpec
 from dante_w.field.hash_encoding import GridSpec

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from dante_w.commands.plan_report import Decision
+from dante_w.contract.protocol import Decision
 from dante_w.scene.held_out import choose_held_out
 from dante_w.traced.light_clusters import first_groups
 from dante_w.traced.model_selection import BOUNCED, WORTH, Fixed, choose_parts

@@ -13,7 +13,8 @@ import pytest
 from conftest import CAMERA, SQUARE, make_scene, pose
 from dante_w.commands import recover_traced, stages
 from dante_w.commands.cli import main
-from dante_w.commands.plan_report import LEAST_SIDE, YOU_CHOSE, texture_side
+from dante_w.commands.plan_report import LEAST_SIDE, texture_side
+from dante_w.contract.protocol import YOU_CHOSE
 from dante_w.contract.scene_folder import Camera, Frame
 from dante_w.estimate import memory
 from dante_w.rays import footprint

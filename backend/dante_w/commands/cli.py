@@ -13,6 +13,7 @@ from typing import Any
 from dante_w import __version__
 from dante_w.commands.worker import run
 from dante_w.contract.errors import BAD_INPUT, DONE
+from dante_w.contract.protocol import Failed, encode
 from dante_w.run import distributed
 
 #: Parts of the light that a plan decides on, see `traced.lights.Parts`.
@@ -115,7 +116,7 @@ class _Known(argparse.Action):
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str):  # type: ignore[no-untyped-def]
         if "--json" in sys.argv and distributed.rank() == 0:
-            print(json.dumps({"stage": "error", "code": BAD_INPUT, "message": message}), flush=True)
+            print(encode(Failed(BAD_INPUT, message)), flush=True)
         super().error(message)
 
 

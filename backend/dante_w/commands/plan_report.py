@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from dante_w.contract.protocol import YOU_CHOSE, Decision
+from dante_w.contract.text import duration, gigabytes
 from dante_w.estimate.memory import TRANSFER
 from dante_w.field.fields import ModelSpec
 from dante_w.field.pyramid import PyramidSpec
@@ -15,17 +16,6 @@ from dante_w.rays.ray_cache import sample_bytes
 
 #: Texels along a side that a plan takes at least.
 LEAST_SIDE = 256
-YOU_CHOSE = "you chose it"
-
-
-@dataclass(frozen=True)
-class Decision:
-    """One line of the plan: `what` is decided, the `choice`, the `reason`, and what it `costs`."""
-
-    what: str
-    choice: str
-    reason: str
-    costs: str
 
 
 def texture_side(
@@ -136,20 +126,3 @@ def time(seconds: dict[str, float]) -> Decision:
     return Decision(
         "time", f"about {duration(sum(seconds.values()))}", "this machine's pace, timed on this scene", parts
     )
-
-
-def duration(seconds: float) -> str:
-    """45 s, 3 min, 1 h 20 min.
-
-    >>> duration(44.6), duration(5000.0)
-    ('45 s', '1 h 23 min')
-    """
-    if seconds < 60.0:
-        return f"{max(seconds, 1.0):.0f} s"
-    minutes = round(seconds / 60.0)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
-
-
-def gigabytes(count: float) -> str:
-    """Bytes as people say them."""
-    return f"{count / 1e9:.1f} GB" if count >= 1e8 else f"{count / 1e6:.0f} MB"

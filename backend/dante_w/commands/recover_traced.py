@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dante_w.commands.plan_report import Decision, directions, light, memory, normals, samples, time
+from dante_w.commands.plan_report import directions, light, memory, normals, samples, time
 from dante_w.commands.stages import (
     GUTTER,
     TEXEL_TYPES,
@@ -25,6 +25,7 @@ from dante_w.commands.stages import (
     say_plan,
     write_report,
 )
+from dante_w.contract.protocol import Decision
 from dante_w.contract.scene_folder import Scene
 from dante_w.estimate.expectation import QUALITY, Expectation, Work, predict
 from dante_w.estimate.memory import (

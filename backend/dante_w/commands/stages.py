@@ -16,8 +16,9 @@ import numpy as np
 
 from dante_w import __version__
 from dante_w.commands.doctor import library_versions
-from dante_w.commands.plan_report import Decision, texture_side
+from dante_w.commands.plan_report import texture_side
 from dante_w.contract.errors import BadInput
+from dante_w.contract.protocol import Decision, Planned
 from dante_w.contract.scene_folder import Frame, Scene
 from dante_w.estimate.expectation import Expectation, Work, predict, since_start
 from dante_w.estimate.memory import cache_bytes, resident, room
@@ -73,7 +74,7 @@ def say_plan(options: argparse.Namespace, decisions: list[Decision], progress: P
     """Say what is modelled, and why; a plan alone is what standard output is for."""
     progress.close()
     if options.json:
-        progress.say({"stage": "planned", "decisions": [dataclasses.asdict(each) for each in decisions]})
+        progress.say(Planned(tuple(decisions)))
         return
     for line in decisions:
         out = sys.stdout if options.command == "plan" else sys.stderr
@@ -102,7 +103,7 @@ def say_expected(
 ) -> dict[str, Any]:
     """Say what the run will take and what its preset reached elsewhere; returns that for the report."""
     if options.json:
-        progress.say({"stage": "expected", **expected.as_dict()})
+        progress.say(expected.message())
     else:
         print(expected.sentence(options.preset, priors), file=sys.stderr, flush=True)
     return expected.as_dict()

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from dante_w.contract.errors import BUG, CANCELLED, DONE, OUT_OF_ROOM, DanteError, OutOfRoom
+from dante_w.contract.protocol import Done, Failed
 from dante_w.run import distributed
 from dante_w.run.progress import Progress
 from dante_w.run.result_folder import abandon, discard, is_full, publish, scratch, stage
@@ -133,9 +134,9 @@ def _make_sure_of_room() -> None:
 def _say_done(command: str, options: argparse.Namespace, progress: Progress, report: dict[str, Any]) -> bool:
     """Whether anybody still reads."""
     if options.json:
-        out = {} if command == "plan" else {"out": str(options.out.resolve())}
+        out = "" if command == "plan" else str(options.out.resolve())
         try:
-            progress.say({"stage": "done", **out, "report": report})
+            progress.say(Done(report, out))
         except (DanteError, OSError):  # nobody reads any more: the result stands all the same
             return False
     elif command != "plan":
@@ -194,7 +195,7 @@ def fail(as_json: bool, code: int, message: str) -> int:
         return code
     with contextlib.suppress(DanteError, OSError):  # nobody reads any more: the exit code still tells
         if as_json:
-            Progress(True).say({"stage": "error", "code": code, "message": message})
+            Progress(True).say(Failed(code, message))
         else:
             print(f"dante-w: {message}", file=sys.stderr)
     return code

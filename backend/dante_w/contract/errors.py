@@ -1,5 +1,7 @@
 """The errors a user can meet, each with its exit code. Anything else is a bug and exits with 1."""
 
+from __future__ import annotations
+
 DONE, BUG, BAD_INPUT, CANCELLED, OUT_OF_ROOM = 0, 1, 2, 3, 4
 
 

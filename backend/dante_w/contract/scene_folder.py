@@ -1,8 +1,7 @@
 """The scene folder: posed photos and a mesh on disk, as nerfstudio and instant-ngp write them.
 
 A scene folder holds `transforms.json`, the photos, a mesh with UVs and, per photo, an optional
-foreground mask and an optional albedo prior. This module is the only one that knows the format; the
-add-on loads this same file, so it uses nothing but the standard library and numpy.
+foreground mask and an optional albedo prior. This module is the only one that knows the format.
 
 Conventions. Poses are OpenGL camera-to-world: x right, y up, looking along -z, in the mesh's own
 units, kept in float64. Pixels are continuous with the origin at the top left corner, so the centre of
@@ -29,13 +28,7 @@ from typing import Any
 
 import numpy as np
 
-try:
-    from dante_w.contract.errors import BadInput
-except ImportError:  # loaded by the add-on as a lone file
-
-    class BadInput(Exception):  # type: ignore[no-redef]
-        """The scene cannot be used as it is; the message names the file and the fix."""
-
+from .errors import BadInput
 
 #: transforms.json key of each intrinsic, in COLMAP's parameter order, per COLMAP camera model.
 INTRINSIC_KEYS: dict[str, tuple[str, ...]] = {

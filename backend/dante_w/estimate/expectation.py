@@ -14,19 +14,10 @@ from typing import Any
 
 import psutil
 
-from dante_w.commands.plan_report import duration
+from dante_w.contract.protocol import Expected, Quality
+from dante_w.contract.text import duration
 from dante_w.estimate.pace import Pace
 from dante_w.field.held_out import SCHEDULE
-
-
-@dataclass(frozen=True)
-class Quality:
-    """Albedo PSNR in dB after one gain per channel, in test views of rendered objects: the mean and the range."""
-
-    mean: float
-    lowest: float
-    highest: float
-
 
 #: Of traced light and of the paper's field, without priors, on four objects: `python3 dev.py bench gigalit DIR`. None: not
 #: measured.
@@ -65,14 +56,14 @@ class Expectation:
     seconds: dict[str, float]
     quality: Quality | None
 
-    def as_dict(self) -> dict[str, Any]:
-        """As in report.json: stages are rounded before they are added, so that they add up."""
+    def message(self) -> Expected:
+        """As it is said: stages are rounded before they are added, so that they add up."""
         seconds = {stage: round(value, 3) for stage, value in self.seconds.items()}
-        return {
-            "seconds": seconds,
-            "total_seconds": round(sum(seconds.values()), 3),
-            "albedo_psnr_after_gain": self.quality and asdict(self.quality),
-        }
+        return Expected(seconds, round(sum(seconds.values()), 3), self.quality)
+
+    def as_dict(self) -> dict[str, Any]:
+        """As in report.json."""
+        return asdict(self.message())
 
     def sentence(self, preset: str, priors: bool) -> str:
         """For people, before the work begins."""

@@ -6,15 +6,14 @@ The time left is the present stage's, at its measured pace, plus what the later 
 from __future__ import annotations
 
 import errno
-import json
 import math
 import sys
 import threading
 import time
 from collections.abc import Mapping
-from typing import Any
 
 from dante_w.contract.errors import Cancelled
+from dante_w.contract.protocol import Message, Step, encode
 
 #: A line at least this often, so that a reader can tell slow from dead.
 HEARTBEAT_SECONDS = 1.0
@@ -32,7 +31,7 @@ class Progress:
         self._json = as_json
         self._lock = threading.Lock()
         self._stage, self._began, self._written = "", time.monotonic(), 0.0
-        self._event: dict[str, Any] = {}
+        self._latest: Step | None = None
 
     def expect(self, seconds: Mapping[str, float]) -> None:
         """Say how long coming stages will take, in their order."""
@@ -44,15 +43,11 @@ class Progress:
         if stage != self._stage:
             self.close()
             self._stage, self._began, self._written = stage, now, 0.0
-        if loss is None and self._event.get("stage") == stage:
-            loss = self._event["loss"]
-        self._event = {
-            "stage": stage,
-            "step": step,
-            "total": total,
-            "loss": loss if loss is not None and math.isfinite(loss) else None,
-            "seconds_left": self._seconds_left(now, step / total if total else 1.0),
-        }
+        if loss is None and self._latest and self._latest.stage == stage:
+            loss = self._latest.loss
+        finite = loss if loss is not None and math.isfinite(loss) else None
+        left = self._seconds_left(now, step / total if total else 1.0)
+        self._latest = Step(stage, step, total, finite, left)
         if now - self._written >= SHORTEST_INTERVAL or step >= total:
             self.write()
 
@@ -68,12 +63,12 @@ class Progress:
     def write(self) -> None:
         """Write the latest report (again)."""
         self._written = time.monotonic()
-        if not self._event:
+        if not self._latest:
             return
         if self._json:
-            self.say(self._event)
+            self.say(self._latest)
         elif sys.stderr.isatty():
-            sys.stderr.write("\r" + _bar(self._event))
+            sys.stderr.write("\r" + _bar(self._latest))
             sys.stderr.flush()
 
     def beat(self) -> None:
@@ -81,15 +76,15 @@ class Progress:
         if self._json and time.monotonic() - self._written >= HEARTBEAT_SECONDS:
             self.write()
 
-    def say(self, event: Mapping[str, Any]) -> None:
-        """Print one JSON line.
+    def say(self, message: Message) -> None:
+        """Print a message as one JSON line.
 
         Raises:
             Cancelled: nobody reads any more.
         """
         try:
             with self._lock:
-                print(json.dumps(event, allow_nan=False), flush=True)
+                print(encode(message), flush=True)
         except OSError as error:
             if error.errno not in (errno.EPIPE, errno.EINVAL):  # the second is Windows'
                 raise
@@ -109,13 +104,13 @@ class Progress:
         return None
 
 
-def _bar(event: Mapping[str, Any]) -> str:
-    done = event["step"] / event["total"] if event["total"] else 1.0
+def _bar(latest: Step) -> str:
+    done = latest.step / latest.total if latest.total else 1.0
     filled = int(BAR_WIDTH * min(done, 1.0))
-    text = f"{event['stage']:>10} [{'#' * filled}{'.' * (BAR_WIDTH - filled)}] {100 * done:5.1f}%"
-    if event["loss"] is not None:
-        text += f"  loss {event['loss']:.4f}"
-    if event["seconds_left"] is not None:
-        minutes, seconds = divmod(round(event["seconds_left"]), 60)
+    text = f"{latest.stage:>10} [{'#' * filled}{'.' * (BAR_WIDTH - filled)}] {100 * done:5.1f}%"
+    if latest.loss is not None:
+        text += f"  loss {latest.loss:.4f}"
+    if latest.seconds_left is not None:
+        minutes, seconds = divmod(round(latest.seconds_left), 60)
         text += f"  {minutes}:{seconds:02d} left"
     return text.ljust(78)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dante_w.commands.plan_report import YOU_CHOSE, Decision
+from dante_w.contract.protocol import YOU_CHOSE, Decision
 from dante_w.scene.held_out import choose_held_out
 from dante_w.traced.held_out import place
 from dante_w.traced.light_transport import Transfer, coarser
