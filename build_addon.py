@@ -28,8 +28,9 @@ def contents(root: Path = ROOT) -> dict[str, bytes]:
     if version != backend:
         raise ValueError(f"manifest.toml has version {version}, backend/dante_w {backend}; make them one.")
     files = {"blender_manifest.toml": b"# Made by build_addon.py from manifest.toml.\n" + manifest}
-    for path in sorted((root / "dante_w_addon").glob("*.py")):
-        files[path.name] = path.read_bytes()
+    addon = root / "dante_w_addon"
+    for path in sorted(addon.rglob("*.py")):
+        files[path.relative_to(addon).as_posix()] = path.read_bytes()
     backend_folder = root / "backend"
     sources = sorted((backend_folder / "dante_w").rglob("*.py"))
     for path in [backend_folder / "launch.py", backend_folder / "requirements.txt", *sources]:

@@ -14,7 +14,8 @@ ROOT = HERE.parent
 sys.path[:0] = [str(ROOT), str(HERE)]
 
 import dante_w_addon  # noqa: E402
-from dante_w_addon import job, paths  # noqa: E402
+from dante_w_addon import layout  # noqa: E402
+from dante_w_addon.bridge import job  # noqa: E402
 
 
 @pytest.fixture(autouse=True)
@@ -36,8 +37,7 @@ def addon():
 @pytest.fixture
 def standin(monkeypatch):
     """The stand-in backend in this Python; returns a function that sets how it behaves."""
-    monkeypatch.setattr(paths, "launcher", lambda: HERE / "standin" / "launch.py")
-    monkeypatch.setattr("dante_w_addon.result.launcher", lambda: HERE / "standin" / "launch.py")
+    monkeypatch.setattr(layout, "launcher", lambda: HERE / "standin" / "launch.py")
     monkeypatch.setenv("DANTEW_BACKEND_PYTHON", sys.executable)
 
     def behave(mode: str) -> None:

@@ -236,11 +236,14 @@ def story(options: argparse.Namespace):
     """What the user does."""
     import small_scene
 
-    from dante_w_addon import job, material, relight_operators, result
+    from dante_w_addon import layout
+    from dante_w_addon.blender import material
+    from dante_w_addon.bridge import job
+    from dante_w_addon.operators import relight
 
     driver = Driver(options.shots)
     if options.standin:
-        result.launcher = lambda: HERE / "standin" / "launch.py"
+        layout.launcher = lambda: HERE / "standin" / "launch.py"
         os.environ["STANDIN_STEPS"] = "600"
     os.environ["DANTEW_BACKEND_PYTHON"] = options.backend_python
     yield 1.0
@@ -316,23 +319,23 @@ def story(options: argparse.Namespace):
     assert material.shown(obj) == "ALBEDO"
 
     yield from driver.press("relight", every=False)
-    assert relight_operators.active is not None, "the preview did not start"
-    yield from driver.wait_for(lambda: relight_operators.active is None, 300.0, "the preview")
-    assert bpy.data.images.get(relight_operators.PREVIEW), relight_operators.last_message
+    assert relight.active is not None, "the preview did not start"
+    yield from driver.wait_for(lambda: relight.active is None, 300.0, "the preview")
+    assert bpy.data.images.get(relight.PREVIEW), relight.last_message
     space.shading.type = "MATERIAL"
     yield 3.0
     yield from driver.rest()
     yield from driver.shot("panel-relight")
     space.shading.type = "SOLID"
     yield from driver.press("relight", every=True)
-    yield from driver.wait_for(lambda: len(relight_operators.active.files) == 2, 300.0, "two tiles")
+    yield from driver.wait_for(lambda: len(relight.active.files) == 2, 300.0, "two tiles")
     yield from driver.rest()
     yield from driver.shot("panel-sheet-running")
-    yield from driver.wait_for(lambda: relight_operators.active is None, 300.0, "the contact sheet")
+    yield from driver.wait_for(lambda: relight.active is None, 300.0, "the contact sheet")
     yield from driver.rest()
     yield from driver.shot("panel-sheet")
     assert [scene.name for scene in bpy.data.scenes] == ["Scene"], "the borrowed scene was left behind"
-    yield from driver.press("open_image", name=relight_operators.SHEET)
+    yield from driver.press("open_image", name=relight.SHEET)
     yield 2.0
     yield from driver.shot("sheet-window")
     bpy.ops.wm.save_as_mainfile(filepath=str(options.shots / "driven.blend"))

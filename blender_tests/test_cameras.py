@@ -11,8 +11,9 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 from small_scene import add_camera, add_cube, save_picture
 
-from dante_w_addon import cameras, export, import_scene
-from dante_w_addon.paths import scene_folder
+from dante_w_addon.blender import cameras, scene_import
+from dante_w_addon.bridge import export
+from dante_w_addon.contract import scene_folder
 
 LANDSCAPE, PORTRAIT, SQUARE = (640, 480), (480, 640), (512, 512)
 # photo size, pixel aspect (x, y), and what is set on the camera
@@ -141,7 +142,7 @@ CALIBRATIONS = {
 def test_import_and_export_return_the_same_scene(name, tmp_path):
     calibration = CALIBRATIONS[name]
     source = write_folder(tmp_path / "source", calibration)
-    made = import_scene.import_folder(bpy.context, source)
+    made = scene_import.import_folder(bpy.context, source)
     distorted = calibration.model != "PINHOLE" or name == "two focals"
     assert bool(made.warnings) == distorted, made.warnings
     assert made.mesh is not None and tuple(made.mesh.data.vertices[0].co) == pytest.approx((1.0, 2.0, 3.0))
@@ -162,7 +163,7 @@ def test_import_and_export_return_the_same_scene(name, tmp_path):
 
 
 def test_an_edited_lens_wins_over_the_imported_calibration(tmp_path):
-    made = import_scene.import_folder(bpy.context, write_folder(tmp_path / "source", CALIBRATIONS["opencv"]))
+    made = scene_import.import_folder(bpy.context, write_folder(tmp_path / "source", CALIBRATIONS["opencv"]))
     made.cameras[0].data.lens *= 1.5
     camera = scene_folder.read_scene(export_now(tmp_path / "again")).frames[0].camera
     assert camera.model == "PINHOLE" and camera.params[0] == pytest.approx(1050.0)

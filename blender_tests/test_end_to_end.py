@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from small_scene import add_camera, add_cube, set_photo
 
-from dante_w_addon import job, material
+from dante_w_addon.blender import material
+from dante_w_addon.bridge import job
 
 ALBEDO = np.array((0.6, 0.3, 0.1))  # linear
 

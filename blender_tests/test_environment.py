@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from conftest import HERE
 
-from dante_w_addon import environment, job, process
+from dante_w_addon.bridge import environment, job, process
 
 
 @pytest.mark.parametrize(

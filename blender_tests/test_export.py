@@ -8,13 +8,14 @@ import pytest
 from mathutils import Matrix
 from small_scene import add_camera, add_cube, build, save_picture, set_photo
 
-from dante_w_addon import export, mesh, photos, unwrap
-from dante_w_addon.paths import scene_folder
+from dante_w_addon.blender import mesh, photos, uv_back
+from dante_w_addon.bridge import export
+from dante_w_addon.contract import scene_folder
 
 
 def exported(obj, path):
     mesh.write_obj(path, mesh.evaluated(obj, bpy.context.evaluated_depsgraph_get()))
-    return unwrap.read_obj(path)
+    return uv_back.read_obj(path)
 
 
 def area(vertices, corners):
@@ -238,8 +239,8 @@ def test_new_uvs_come_back(tmp_path):
     vertices, uvs, corners, uv_corners = exported(cube, tmp_path / "a.obj")
     changed = mesh.Triangles(vertices, corners, uvs * 0.5, uv_corners)
     mesh.write_obj(tmp_path / "b.obj", changed)
-    assert unwrap.bring_back(cube, tmp_path / "b.obj") == cube
-    assert cube.data.uv_layers[unwrap.UV_MAP].active_render
+    assert uv_back.bring_back(cube, tmp_path / "b.obj") == cube
+    assert cube.data.uv_layers[uv_back.UV_MAP].active_render
     assert exported(cube, tmp_path / "c.obj")[1].max() == pytest.approx(uvs.max() * 0.5)
 
 
@@ -247,6 +248,6 @@ def test_new_uvs_that_do_not_fit_make_a_new_object(tmp_path):
     cube = add_cube()
     cube.modifiers.new("Bigger", "SUBSURF").levels = 1
     exported(cube, tmp_path / "a.obj")
-    made = unwrap.bring_back(cube, tmp_path / "a.obj")
+    made = uv_back.bring_back(cube, tmp_path / "a.obj")
     assert made != cube and len(made.data.polygons) == 48
-    assert unwrap.UV_MAP not in cube.data.uv_layers
+    assert uv_back.UV_MAP not in cube.data.uv_layers

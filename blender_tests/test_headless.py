@@ -11,8 +11,8 @@ import bpy
 import pytest
 from conftest import HERE, ROOT
 
-from dante_w_addon import headless
-from dante_w_addon.process import Process
+from dante_w_addon.bridge import headless
+from dante_w_addon.bridge.process import Process
 
 BATCH = ROOT / "dante_w_addon" / "batch.py"
 
@@ -27,7 +27,7 @@ def command(blend, out, *more):
     code = (
         "import runpy, sys; sys.path.insert(0, sys.argv.pop(1)); import bpy, batch; "
         "headless = batch.load(); from pathlib import Path; "
-        f"headless.result.launcher = lambda: Path({str(HERE / 'standin' / 'launch.py')!r}); "
+        f"headless.result.layout.launcher = lambda: Path({str(HERE / 'standin' / 'launch.py')!r}); "
         "sys.exit(headless.main(batch.arguments()))"
     )
     words = [str(blend), "--out", str(out), "--backend-python", sys.executable, *more]

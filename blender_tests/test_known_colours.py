@@ -11,8 +11,8 @@ from test_headless import run
 from test_run import finish
 from test_surface import add_plane, depsgraph
 
-from dante_w_addon import known_colours, material, surface, survey
-from dante_w_addon.known_colour_operators import DANTEW_OT_pick_known_colour as Pick
+from dante_w_addon.blender import known_colours, material, surface, survey
+from dante_w_addon.operators.known_colour import DANTEW_OT_pick_known_colour as Pick
 
 
 def test_spots_are_added_and_removed(addon):

@@ -71,33 +71,34 @@ bpy.ops.extensions.package_install_files(
     filepath=sys.argv[1], repo="user_default", enable_on_install=True, overwrite=True)
 assert "bl_ext.user_default.dante_w" in bpy.context.preferences.addons, "not enabled"
 import bl_ext.user_default.dante_w as addon
-from bl_ext.user_default.dante_w import preferences, paths, result
+from bl_ext.user_default.dante_w import layout
+from bl_ext.user_default.dante_w.bridge import interpreter
 from pathlib import Path
-assert paths.backend_folder().parent == paths.HERE, paths.backend_folder()
-assert preferences.made_environment().is_relative_to(Path(bpy.utils.resource_path("USER")))
-venv = preferences.made_environment()
-python = preferences.environment.python_in(venv)
+assert layout.backend_folder().parent == layout.HERE, layout.backend_folder()
+assert interpreter.made_environment().is_relative_to(Path(bpy.utils.resource_path("USER")))
+venv = interpreter.made_environment()
+python = interpreter.environment.python_in(venv)
 python.parent.mkdir(parents=True)
 python.write_text("")
-assert preferences.backend_python() is None, "half an environment is none"
-(venv / preferences.READY).write_text("")
+assert interpreter.backend_python() is None, "half an environment is none"
+(venv / interpreter.READY).write_text("")
 print("environment", python)
-assert preferences.backend_python() == str(python)
+assert interpreter.backend_python() == str(python)
 preferences_of = bpy.context.preferences.addons["bl_ext.user_default.dante_w"].preferences
 preferences_of.python = sys.executable
-assert preferences.backend_python() == sys.executable
+assert interpreter.backend_python() == sys.executable
 bpy.context.preferences.system.use_online_access = False
 assert not bpy.ops.dantew.make_environment.poll(), "set-up must need online access"
-result.launcher = lambda: Path(sys.argv[2])
+layout.launcher = lambda: Path(sys.argv[2])
 bpy.ops.wm.open_mainfile(filepath=sys.argv[3])
 import time
-from bl_ext.user_default.dante_w import job
+from bl_ext.user_default.dante_w.bridge import job
 assert bpy.ops.dantew.recover() == {"FINISHED"}
 while job.tick() is not None:
     time.sleep(0.05)
 assert job.recovery.progress.state == "done", job.recovery.progress.message
 print("textured with", bpy.data.objects["Cube"].active_material.name)
-print(paths.HERE)
+print(layout.HERE)
 """
 
 

@@ -3,7 +3,7 @@
 import bpy
 
 import dante_w_addon
-from dante_w_addon import survey
+from dante_w_addon.blender import survey
 
 
 def ours():

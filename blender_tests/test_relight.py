@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from small_scene import add_camera, add_cube, build, save_picture
 
-from dante_w_addon import hdris, relight, relight_operators
+from dante_w_addon.blender import hdris, studio
+from dante_w_addon.operators import relight
 
-TINY = relight.Look(samples=4, size=64)
+TINY = studio.Look(samples=4, size=64)
 
 
 def state():
@@ -46,14 +47,14 @@ def half_lit_hdri(path):
 
 
 def test_still_and_nothing_else_changes(addon, scene, monkeypatch):
-    monkeypatch.setattr(relight_operators, "STILL_SIZE", 64)
+    monkeypatch.setattr(relight, "STILL_SIZE", 64)
     settings = scene.dante_w
     settings.hdri, settings.samples = "forest", 4
     scene.render.filepath = "//somewhere"
     before = state()
     assert bpy.ops.dantew.relight() == {"FINISHED"}
     assert state() == before
-    image = bpy.data.images[relight_operators.PREVIEW]
+    image = bpy.data.images[relight.PREVIEW]
     assert tuple(image.size) == (64, 48) and image.packed_file
     assert np.std(np.array(image.pixels)) > 0.02, "an empty picture"
     assert tuple(image.preview.image_size) == (64, 48)
@@ -64,26 +65,26 @@ def test_settings_survive_a_failing_render(scene, tmp_path, monkeypatch):
         raise RuntimeError("no memory")
 
     before = state()
-    monkeypatch.setattr(relight.Studio, "still", lambda *_: fail())
-    with pytest.raises(RuntimeError), relight.Studio(bpy.context, TINY) as studio:
-        relight.render_all(studio, relight.default_lights()[:1], tmp_path)
+    monkeypatch.setattr(studio.Studio, "still", lambda *_: fail())
+    with pytest.raises(RuntimeError), studio.Studio(bpy.context, TINY) as borrowed:
+        studio.render_all(borrowed, studio.default_lights()[:1], tmp_path)
     assert state() == before
 
 
 def test_a_scene_left_behind_is_removed_by_the_next_preview(scene):
-    relight.Studio(bpy.context, TINY)  # never closed, as after undo
+    studio.Studio(bpy.context, TINY)  # never closed, as after undo
     assert len(bpy.data.scenes) == 2
-    with relight.Studio(bpy.context, TINY):
+    with studio.Studio(bpy.context, TINY):
         assert len(bpy.data.scenes) == 2
     assert list(bpy.data.scenes) == [scene]
 
 
 def test_opening_another_file_forgets_a_running_preview(addon, scene):
-    studio = relight.Studio(bpy.context, TINY)
-    relight_operators.active = relight_operators.Relighting(studio, relight.default_lights(), "picture")
+    borrowed = studio.Studio(bpy.context, TINY)
+    relight.active = relight.Relighting(borrowed, studio.default_lights(), "picture")
     assert not bpy.ops.dantew.relight.poll()
     bpy.ops.wm.read_homefile(use_empty=True)
-    assert relight_operators.active is None
+    assert relight.active is None
 
 
 def test_lamps_are_left_out(scene, tmp_path):
@@ -95,8 +96,8 @@ def test_lamps_are_left_out(scene, tmp_path):
     lamp.data.energy = 10.0
     scene.collection.objects.link(lamp)
     bpy.context.view_layer.update()
-    with relight.Studio(bpy.context, TINY) as studio:
-        picture = relight.read_picture(studio.still(black, tmp_path / "a.png"))
+    with studio.Studio(bpy.context, TINY) as borrowed:
+        picture = studio.read_picture(borrowed.still(black, tmp_path / "a.png"))
     assert picture[..., :3].max() < 0.02
 
 
@@ -108,9 +109,9 @@ def test_light_turns_with_the_rotation(tmp_path):
     bpy.context.view_layer.update()  # from above: a roof with one slope to -x and one to +x
     brightness = []
     for rotation in (0.0, math.pi):
-        look = relight.Look(rotation, 1.0, 16, 64)
-        with relight.Studio(bpy.context, look) as studio:
-            picture = relight.read_picture(studio.still(hdri, tmp_path / "a.png"))
+        look = studio.Look(rotation, 1.0, 16, 64)
+        with studio.Studio(bpy.context, look) as borrowed:
+            picture = studio.read_picture(borrowed.still(hdri, tmp_path / "a.png"))
         height, width = picture.shape[:2]
         row = picture[height // 2, :, :3].mean(axis=-1)
         brightness.append(row[width // 2 - 4 : width // 2].mean() - row[width // 2 : width // 2 + 4].mean())
@@ -120,22 +121,22 @@ def test_light_turns_with_the_rotation(tmp_path):
 def test_strength_brightens(scene, tmp_path):
     means = []
     for strength in (0.2, 1.0):
-        with relight.Studio(bpy.context, relight.Look(0.0, strength, 4, 64)) as studio:
-            picture = relight.read_picture(studio.still(hdris.presets()["forest"], tmp_path / "a.png"))
+        with studio.Studio(bpy.context, studio.Look(0.0, strength, 4, 64)) as borrowed:
+            picture = studio.read_picture(borrowed.still(hdris.presets()["forest"], tmp_path / "a.png"))
         means.append(picture[..., :3].mean())
     assert means[1] > 1.5 * means[0]
 
 
 def test_contact_sheet_of_all_presets(addon, scene, monkeypatch):
-    monkeypatch.setattr(relight_operators, "TILE_SIZE", 64)
+    monkeypatch.setattr(relight, "TILE_SIZE", 64)
     scene.dante_w.samples = 1
     before = state()
     bpy.ops.dantew.relight(every=True)
     assert state() == before
-    sheet = bpy.data.images[relight_operators.SHEET]
+    sheet = bpy.data.images[relight.SHEET]
     assert len(hdris.presets()) == 8
-    step_x, step_y = 64 + relight.GAP, 48 + relight.GAP
-    width, height = 4 * step_x - relight.GAP, 2 * step_y - relight.GAP
+    step_x, step_y = 64 + studio.GAP, 48 + studio.GAP
+    width, height = 4 * step_x - studio.GAP, 2 * step_y - studio.GAP
     assert tuple(sheet.size) == (width, height)
     pixels = np.array(sheet.pixels).reshape(height, width, 4)
     corners = [(step_x * column, step_y * row) for row in (1, 0) for column in range(4)]
@@ -149,23 +150,23 @@ def test_labels_are_written_into_the_corner(tmp_path):
         pytest.skip("this Blender cannot write text into images")
     path = tmp_path / "a.png"
     save_picture(path, 200, 150, (0.2, 0.2, 0.2, 1.0))
-    relight.write_label(path, "Forest")
-    picture = relight.read_picture(path)[..., :3]
+    studio.write_label(path, "Forest")
+    picture = studio.read_picture(path)[..., :3]
     assert picture[:30, :100].max() > 0.9 and picture[:30, :100].min() < 0.1
     assert picture[40:] == pytest.approx(51 / 255, abs=0.005)
 
 
 def test_contact_sheet_order():
     tiles = [np.full((2, 3, 4), value, np.float32) for value in (0.1, 0.2, 0.3)]
-    sheet = relight.contact_sheet(tiles, columns=2)
+    sheet = studio.contact_sheet(tiles, columns=2)
     assert sheet[-1, 0, 0] == np.float32(0.1) and sheet[-1, -1, 0] == np.float32(0.2)
     assert sheet[0, 0, 0] == np.float32(0.3) and sheet[0, -1, 0] == 0.0
 
 
 def test_portrait_renders_keep_their_shape(tmp_path):
     build(tmp_path / "photos", size=(48, 96))
-    with relight.Studio(bpy.context, TINY) as studio:
-        picture = relight.read_picture(studio.still(hdris.presets()["city"], tmp_path / "a.png"))
+    with studio.Studio(bpy.context, TINY) as borrowed:
+        picture = studio.read_picture(borrowed.still(hdris.presets()["city"], tmp_path / "a.png"))
     assert picture.shape[:2] == (64, 32)
 
 

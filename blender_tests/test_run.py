@@ -10,8 +10,10 @@ import bpy
 import pytest
 from conftest import HERE, ROOT
 
-from dante_w_addon import job, material, panels
-from dante_w_addon.process import SILENCE, STAGES, Progress, decisions
+from dante_w_addon.blender import material
+from dante_w_addon.bridge import job
+from dante_w_addon.bridge.process import SILENCE, STAGES, Progress, decisions
+from dante_w_addon.ui import panels
 
 
 def finish(seconds=20.0):
@@ -278,9 +280,10 @@ QUIT = """
 import sys
 sys.path[:0] = [{root!r}, {here!r}]
 import bpy, dante_w_addon
-from dante_w_addon import job, result
+from dante_w_addon import layout
+from dante_w_addon.bridge import job
 from pathlib import Path
-result.launcher = lambda: Path({here!r}) / "standin" / "launch.py"
+layout.launcher = lambda: Path({here!r}) / "standin" / "launch.py"
 bpy.ops.wm.open_mainfile(filepath={blend!r})
 dante_w_addon.register()
 bpy.ops.dantew.recover()

@@ -8,8 +8,8 @@ import pytest
 from mathutils import Matrix, Vector
 from small_scene import add_cube
 
-from dante_w_addon import mesh, surface
-from dante_w_addon.paths import scene_folder
+from dante_w_addon.blender import mesh, surface
+from dante_w_addon.contract import scene_folder
 
 
 def depsgraph():

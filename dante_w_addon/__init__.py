@@ -7,24 +7,18 @@ from __future__ import annotations
 
 import bpy
 
-from . import (
-    headless,
-    job,
-    known_colour_markers,
-    known_colour_operators,
-    known_colours,
-    panels,
-    preferences,
-    properties,
-    recover,
-    relight_operators,
-)
+from .blender import known_colours, properties
+from .bridge import headless, job
+from .operators import import_scene, known_colour, recover, relight, setup
+from .ui import overlay, panels, preferences
 
 _CLASSES = (
     *preferences.CLASSES,
+    *setup.CLASSES,
+    *import_scene.CLASSES,
     *recover.CLASSES,
-    *known_colour_operators.CLASSES,
-    *relight_operators.CLASSES,
+    *known_colour.CLASSES,
+    *relight.CLASSES,
     *panels.CLASSES,
 )
 _commands = []
@@ -37,8 +31,8 @@ def register() -> None:
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
     job.register()
-    known_colour_markers.register()
-    relight_operators.register()
+    overlay.register()
+    relight.register()
     _commands.append(bpy.utils.register_cli_command("dante_w", headless.main))
 
 
@@ -46,8 +40,8 @@ def unregister() -> None:
     """Undo `register`; a running backend is stopped."""
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
-    relight_operators.unregister()
-    known_colour_markers.unregister()
+    relight.unregister()
+    overlay.unregister()
     job.unregister()
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

@@ -28,7 +28,7 @@ def load() -> ModuleType:
         package = importlib.util.module_from_spec(spec)
         sys.modules[PACKAGE] = package
         spec.loader.exec_module(package)
-    return importlib.import_module(f"{PACKAGE}.headless")
+    return importlib.import_module(f"{PACKAGE}.bridge.headless")
 
 
 def arguments() -> list[str]:

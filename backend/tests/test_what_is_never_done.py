@@ -36,9 +36,9 @@ ALLOWED = {
     "backend/dante_w/texture/unwrap.py subprocess": "xatlas cannot be interrupted, so it runs in a child",
     "backend/dante_w/texture/unwrap.py ctypes": "prctl: that child ends with its parent",
     "backend/dante_w/run/distributed.py torch.distributed": "only where torchrun, which the user starts, says so",
-    "dante_w_addon/process.py subprocess": "the backend",
-    "dante_w_addon/environment.py subprocess": "pip and the backend's doctor",
-    "dante_w_addon/environment.py https": "wheels, downloaded by a button that needs Blender's online access",
+    "dante_w_addon/bridge/process.py subprocess": "the backend",
+    "dante_w_addon/bridge/environment.py subprocess": "pip and the backend's doctor",
+    "dante_w_addon/bridge/environment.py https": "wheels, downloaded by a button that needs Blender's online access",
     "dante_w_addon/batch.py import_module": "the add-on's own files under their package's name",
 }
 
@@ -135,8 +135,8 @@ def test_only_the_set_up_button_downloads_and_it_asks_for_online_access():
         for node in ast.walk(ast.parse(file.read_text("utf-8")))
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "environment.commands"
     ]
-    assert callers == ["preferences.py"]
-    tree = ast.parse((ROOT / "dante_w_addon/preferences.py").read_text("utf-8"))
+    assert callers == ["setup.py"]
+    tree = ast.parse((ROOT / "dante_w_addon/operators/setup.py").read_text("utf-8"))
     (button,) = (
         node
         for node in ast.walk(tree)

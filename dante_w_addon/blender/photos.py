@@ -11,8 +11,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .paths import file_name, scene_folder
-from .picture_files import write_exr, write_png
+from ..contract import scene_folder
+from .paths import file_name
+from .pixel_files import write_exr, write_png
 
 _SUFFIX = {"PNG": ".png", "JPEG": ".jpg", "OPEN_EXR": ".exr", "TIFF": ".tif", "BMP": ".bmp", "HDR": ".hdr"}
 

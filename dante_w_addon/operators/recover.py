@@ -1,76 +1,15 @@
-"""Operators: import a scene folder, recover, cancel, and switch what the object shows."""
+"""Operators: recover, cancel, switch what the object shows, and open the report."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import bpy
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import EnumProperty
 
-from . import (
-    export,
-    import_scene,
-    job,
-    known_colours,
-    material,
-    photos,
-    preferences,
-    properties,
-    result,
-    survey,
-    windows,
-)
-from .paths import is_temporary, run_folder, scene_folder
-
-
-class DANTEW_OT_import_scene(bpy.types.Operator):
-    """Make cameras with photos behind them, and the mesh, from a scene folder (transforms.json)"""
-
-    bl_idname = "dantew.import_scene"
-    bl_label = "Import Scene Folder"
-    bl_options = {"REGISTER", "UNDO"}
-
-    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
-    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        try:
-            made = import_scene.import_folder(context, Path(bpy.path.abspath(self.filepath)))
-        except scene_folder.BadInput as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        for warning in made.warnings:
-            self.report({"WARNING"}, warning)
-        self.report({"INFO"}, f"{len(made.cameras)} cameras imported")
-        return {"FINISHED"}
-
-
-class DANTEW_OT_match_render(bpy.types.Operator):
-    """Set the render size to the active camera's photo, so that the overlay shows exactly what is recovered"""
-
-    bl_idname = "dantew.match_render"
-    bl_label = "Match Render to Photo"
-    bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if active_photo(context.scene) is None:
-            cls.poll_message_set("The scene's camera has no photo behind it")
-            return False
-        return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        try:
-            width, height = photos.size_of(active_photo(context.scene).image)
-        except scene_folder.BadInput as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        context.scene.render.resolution_x, context.scene.render.resolution_y = width, height
-        return {"FINISHED"}
+from ..blender import known_colours, material, properties, survey
+from ..blender.paths import is_temporary, run_folder
+from ..bridge import export, interpreter, job, result
+from ..contract import scene_folder
+from . import windows
 
 
 class DANTEW_OT_recover(bpy.types.Operator):
@@ -86,7 +25,7 @@ class DANTEW_OT_recover(bpy.types.Operator):
             cls.poll_message_set("A recovery is running")
         elif obj is None:
             cls.poll_message_set("Make the mesh to texture the active object")
-        elif preferences.backend_python() is None:
+        elif interpreter.backend_python() is None:
             cls.poll_message_set("Set the backend up first")
         else:
             problems = survey.take(context.scene, obj).problems
@@ -103,7 +42,7 @@ class DANTEW_OT_recover(bpy.types.Operator):
             depsgraph = context.evaluated_depsgraph_get()
             export.export_scene(context.scene, obj, depsgraph, folder / "scene")
             command = result.recover_command(
-                preferences.backend_python(),
+                interpreter.backend_python(),
                 folder / "scene",
                 folder / "result",
                 preset=settings.preset,
@@ -184,16 +123,4 @@ class DANTEW_OT_open_report(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def active_photo(scene: bpy.types.Scene) -> photos.Photo | None:
-    """The photo behind the scene's camera."""
-    return next((photo for photo in photos.found(scene) if photo.camera == scene.camera), None)
-
-
-CLASSES = (
-    DANTEW_OT_import_scene,
-    DANTEW_OT_match_render,
-    DANTEW_OT_recover,
-    DANTEW_OT_cancel,
-    DANTEW_OT_show,
-    DANTEW_OT_open_report,
-)
+CLASSES = (DANTEW_OT_recover, DANTEW_OT_cancel, DANTEW_OT_show, DANTEW_OT_open_report)

@@ -7,8 +7,8 @@ from bpy.props import BoolProperty, FloatVectorProperty, IntProperty
 from bpy_extras import view3d_utils
 from mathutils import Vector
 
-from . import known_colours, properties, surface, survey
-from .paths import scene_folder
+from ..blender import known_colours, properties, surface, survey
+from ..contract import scene_folder
 
 #: What moves the view while a spot is looked for.
 NAVIGATION = {

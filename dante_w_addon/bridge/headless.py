@@ -18,8 +18,10 @@ from pathlib import Path
 
 import bpy
 
-from . import export, hdris, known_colours, preferences, properties, relight, result
-from .paths import file_name, scene_folder
+from ..blender import hdris, known_colours, properties, studio
+from ..blender.paths import file_name
+from ..contract import scene_folder
+from . import export, interpreter, result
 from .process import Process, Progress
 
 DONE, BUG, BAD_INPUT, CANCELLED = 0, 1, 2, 3
@@ -97,10 +99,10 @@ def _run(options: argparse.Namespace) -> int:
     lights = _lights(options.relight)
     obj = _mesh_object(options.object)
     known = _known(options, obj)
-    python = options.backend_python or preferences.backend_python()
+    python = options.backend_python or interpreter.backend_python()
     if python is None:
         raise scene_folder.BadInput(
-            f"No backend Python was found; name it with --backend-python or {preferences.VARIABLE}."
+            f"No backend Python was found; name it with --backend-python or {interpreter.VARIABLE}."
         )
     export.export_scene(bpy.context.scene, obj, bpy.context.evaluated_depsgraph_get(), out / "scene")
     command = result.recover_command(
@@ -175,7 +177,7 @@ def _lights(choice: str | None) -> list[Path]:
     if choice is None:
         return []
     if choice == "all":
-        return relight.default_lights()
+        return studio.default_lights()
     path = hdris.file_of(choice, "") or hdris.file_of(hdris.OWN, os.path.abspath(choice))
     if path is None:
         names = ", ".join(hdris.presets())
@@ -188,14 +190,14 @@ def _lights(choice: str | None) -> list[Path]:
 
 
 def _relight(lights: list[Path], options: argparse.Namespace, target: Path) -> None:
-    look = relight.Look(samples=options.samples, size=options.size)
-    with relight.Studio(bpy.context, look) as studio, relight.temporary_folder() as folder:
+    look = studio.Look(samples=options.samples, size=options.size)
+    with studio.Studio(bpy.context, look) as borrowed, studio.temporary_folder() as folder:
 
         def say(index: int) -> None:
             _say(options, {"stage": "relight", "step": index, "total": len(lights)})
 
-        picture = relight.render_all(studio, lights, folder, say)
-        image = relight.keep_picture("DANTE-W relight", picture)
+        picture = studio.render_all(borrowed, lights, folder, say)
+        image = studio.keep_picture("DANTE-W relight", picture)
         image.filepath_raw, image.file_format = str(target), "PNG"
         image.save()
 

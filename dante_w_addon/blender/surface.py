@@ -5,8 +5,8 @@ from __future__ import annotations
 import bpy
 from mathutils import Vector, geometry
 
+from ..contract import scene_folder
 from . import mesh
-from .paths import scene_folder
 
 
 def under_ray(

@@ -6,8 +6,11 @@ import textwrap
 
 import bpy
 
-from . import hdris, job, known_colours, material, preferences, properties, relight_operators, survey
-from .process import decisions
+from ..blender import hdris, known_colours, material, properties, survey
+from ..bridge import interpreter, job
+from ..bridge.process import decisions
+from ..operators import relight
+from . import preferences
 
 MAX_PROBLEMS = 4
 
@@ -50,7 +53,7 @@ class DANTEW_PT_recover(_Panel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, properties.of(context.scene)
-        if preferences.backend_python() is None or job.setting_up():
+        if interpreter.backend_python() is None or job.setting_up():
             preferences.draw_backend(layout)
         column = _properties(layout)
         column.enabled = not job.recovering()
@@ -118,7 +121,7 @@ class DANTEW_PT_relight(_Panel, bpy.types.Panel):
         column.prop(settings, "rotation")
         column.prop(settings, "strength")
         column.prop(settings, "samples")
-        running = relight_operators.active
+        running = relight.active
         if running is not None:
             done, total = len(running.files), len(running.lights)
             layout.progress(factor=(done + 0.5) / total, text=f"Rendering {done + 1} of {total}")
@@ -127,9 +130,9 @@ class DANTEW_PT_relight(_Panel, bpy.types.Panel):
             row.scale_y = 1.3
             row.operator("dantew.relight", text="Preview", icon="RENDER_STILL").every = False
             row.operator("dantew.relight", text="Contact Sheet", icon="MESH_GRID").every = True
-            if relight_operators.last_message:
-                _sentence(context, layout, relight_operators.last_message, "INFO")
-        image = relight_operators.latest_image()
+            if relight.last_message:
+                _sentence(context, layout, relight.last_message, "INFO")
+        image = relight.latest_image()
         if image is not None and image.preview is not None:
             layout.operator("dantew.open_image", text="Open Picture", icon="IMAGE_DATA").name = image.name
             units = context.region.width / (24.0 * context.preferences.system.ui_scale)

@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .paths import scene_folder
+from ..contract import scene_folder
 
 
 @dataclass(frozen=True)

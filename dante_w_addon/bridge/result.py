@@ -8,8 +8,8 @@ from pathlib import Path
 
 import bpy
 
-from . import material, unwrap
-from .paths import launcher
+from .. import layout
+from ..blender import material, uv_back
 
 
 def recover_command(
@@ -35,7 +35,7 @@ def recover_command(
         "-I",
         "-X",
         "utf8",
-        str(launcher()),
+        str(layout.launcher()),
         "recover",
         str(scene),
         "--out",
@@ -68,7 +68,7 @@ def take_in(obj: bpy.types.Object, out: Path, pack: bool) -> bpy.types.Object:
         OSError, ValueError: the folder is not a whole result.
     """
     settings = material.read_report(out).get("settings", {})  # files of a former run may lie beside
-    textured = unwrap.bring_back(obj, out / "mesh.obj") if settings.get("unwrap") else obj
+    textured = uv_back.bring_back(obj, out / "mesh.obj") if settings.get("unwrap") else obj
     material.apply(textured, out, pack)
     if textured != obj:
         obj.hide_render = True

@@ -10,7 +10,9 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty
 
-from . import hdris, job, properties, relight, windows
+from ..blender import hdris, properties, studio
+from ..bridge import job
+from . import windows
 
 PREVIEW = "DANTE-W relight"
 SHEET = "DANTE-W contact sheet"
@@ -21,7 +23,7 @@ THUMBNAIL = 256  # pixels, as large as Blender's previews get
 class Relighting:
     """Renders that follow each other while the user works on."""
 
-    def __init__(self, studio: relight.Studio, lights: list[Path], name: str) -> None:
+    def __init__(self, studio: studio.Studio, lights: list[Path], name: str) -> None:
         self.studio, self.lights, self.name = studio, lights, name
         self.files: list[Path] = []
         self.folder = Path(tempfile.mkdtemp(prefix="dante_w_", dir=bpy.app.tempdir))
@@ -54,7 +56,7 @@ class Relighting:
         if len(self.files) < len(self.lights):
             self.start_next()
             return True
-        keep(self.name, relight.take_pictures(self.files, self.lights))
+        keep(self.name, studio.take_pictures(self.files, self.lights))
         return self.close()
 
     def close(self) -> bool:
@@ -89,7 +91,7 @@ def keep(name: str, pixels: np.ndarray) -> bpy.types.Image:
     """Put a picture into the file, with a thumbnail for the panel."""
     global _latest
     _latest = name
-    image = relight.keep_picture(name, pixels)
+    image = studio.keep_picture(name, pixels)
     step = -(-max(pixels.shape[:2]) // THUMBNAIL)
     small = np.ascontiguousarray(pixels[::step, ::step])
     preview = image.preview_ensure()
@@ -134,10 +136,10 @@ class DANTEW_OT_relight(bpy.types.Operator):
         return False
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        studio, lights, name = self._prepare(context)
-        with relight.temporary_folder() as folder, studio:
+        borrowed, lights, name = self._prepare(context)
+        with studio.temporary_folder() as folder, borrowed:
             try:
-                keep(name, relight.render_all(studio, lights, folder))
+                keep(name, studio.render_all(borrowed, lights, folder))
             except RuntimeError as error:
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}
@@ -152,13 +154,13 @@ class DANTEW_OT_relight(bpy.types.Operator):
         bpy.app.timers.register(tick, first_interval=job.TICK)
         return {"FINISHED"}
 
-    def _prepare(self, context: bpy.types.Context) -> tuple[relight.Studio, list[Path], str]:
+    def _prepare(self, context: bpy.types.Context) -> tuple[studio.Studio, list[Path], str]:
         settings = properties.of(context.scene)
         size = TILE_SIZE if self.every else STILL_SIZE
-        look = relight.Look(settings.rotation, settings.strength, settings.samples, size)
+        look = studio.Look(settings.rotation, settings.strength, settings.samples, size)
         one = hdris.file_of(settings.hdri, settings.hdri_file)
-        lights = relight.default_lights() if self.every else [one]
-        return relight.Studio(context, look), lights, SHEET if self.every else PREVIEW
+        lights = studio.default_lights() if self.every else [one]
+        return studio.Studio(context, look), lights, SHEET if self.every else PREVIEW
 
 
 class DANTEW_OT_open_image(bpy.types.Operator):

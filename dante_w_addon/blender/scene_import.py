@@ -10,8 +10,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..contract import scene_folder
 from . import cameras
-from .paths import scene_folder
 
 #: Beyond this distance from the origin, in its own sizes, a mesh loses its shape in Blender's float32.
 FAR = 1e4

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import bpy
 
-from . import cameras, mesh, photos
-from .paths import scene_folder
+from ..blender import cameras, mesh, photos
+from ..contract import scene_folder
 
 #: File that says a folder is ours to replace.
 MARK = "made-by-dante-w.txt"

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
-from .paths import scene_folder
+from ..contract import scene_folder
 
 #: Custom property of an imported camera: calibration that a Blender camera cannot hold, as distortion.
 CALIBRATION = "dante_w_calibration"

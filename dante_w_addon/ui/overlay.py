@@ -8,7 +8,7 @@ from bpy_extras.view3d_utils import location_3d_to_region_2d
 from gpu_extras.presets import draw_circle_2d
 from mathutils import Vector
 
-from . import known_colours, survey
+from ..blender import known_colours, survey
 
 RADIUS = 7.0  # pixels, times the interface's scale
 TEXT = 12.0

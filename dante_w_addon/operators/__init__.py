@@ -1,0 +1,1 @@
+"""The buttons: each checks what it needs, calls the rooms below, and reports."""

@@ -1,0 +1,1 @@
+"""The sidebar tab, the preferences, and the rings in the 3D view."""
