@@ -3,7 +3,7 @@
 A made scene of so many small photos, each from a place of its own and under one of five lights, recovered by both models, each run
 in a fresh process with its ray cache in files, as a scene that is large for its machine has it. Anonymous memory, what the
 process cannot give back, and all that it held are noted by stage; and what the same scene would take with photos of 24 megapixels.
-Writes docs/scale.md's tables to OUT/scale.md and all figures to OUT/scale.json; runs that this has already are not done again.
+Writes the tables of docs/benchmarks.md to OUT/scale.md and all figures to OUT/scale.json; runs that this has already are not done again.
 """
 
 from __future__ import annotations

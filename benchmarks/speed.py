@@ -37,7 +37,7 @@ TORCH, NUMBA, TRITON = "plain torch gather", "numba", "triton"
 STAGES = ("encode 2D", "encode 3D", "decoders", "loss", "backward", "optimiser")
 #: Texture coordinates between neighbouring pixels, as on the shared scenes: four texels of 2048.
 SPACING = 4.0 / 2048.0
-#: Steps that are timed together. The ratio depends on it (docs/speed.md): the step that comes after the other path's is slower; on a GPU
+#: Steps that are timed together. The ratio depends on it (docs/benchmarks.md): the step that comes after the other path's is slower; on a GPU
 #: a step does not wait for the one before.
 TOGETHER = 20
 #: Batches that steps go through.

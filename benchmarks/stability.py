@@ -2,7 +2,7 @@
 
 A small generated scene goes through every extreme by the product's own command, with traced light and with the paper's model, and
 is compared with a float64 reference or with the scene as it was (`benchmarks/extremes/`, one family a file). Prints one Markdown
-table a family; --out writes them as a page, docs/stability.md. Exits with 1 if a row does not hold.
+table a family; --out writes them as a page. Exits with 1 if a row does not hold.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from measure.machine import provenance, sentence
 FAMILIES = ("geometry", "radiance", "encodings", "fitting", "uvs", "sizes", "faults")
 HEAD = """# Stability
 
-What is promised at the extremes, and what was measured there. Made by `python3 dev.py bench stability --out docs/stability.md`.
+What is promised at the extremes, and what was measured there. Made by `python3 dev.py bench stability --out FILE`.
 
 The scene: hills of 392 triangles, a known albedo, eight float photos of 96 x 96 pixels under three lights, texture 128 x 128. PSNR is of
 sRGB albedo. "traced" is the default model with 64 directions of light, "field" the paper's with few and small grids and 300 steps. In every
