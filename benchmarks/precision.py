@@ -38,7 +38,7 @@ SPEC = ModelSpec(
 TERMS = LossTerms(white_light=WHITE_LIGHT, small_offset=SMALL_OFFSET)
 PHOTOS, SAMPLES_PER_PHOTO, BATCH = 8, 8192, 4096
 TEXTURE = 256  # side of the texture that is compared, in texels
-GROUPS = ("tables", "decoders", "photos")
+CLUSTERS = ("tables", "decoders", "photos")
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def one_step(model: Model, way: Way) -> Step:
             fields = torch.cat(
                 [model.albedo(samples.uv), model.light(samples.position, samples.photo)], dim=1
             )
-    parts: dict[str, list[torch.Tensor]] = {name: [] for name in GROUPS}
+    parts: dict[str, list[torch.Tensor]] = {name: [] for name in CLUSTERS}
     for name, gradient in found.items():
         group = "tables" if name.endswith("tables") else "decoders" if ".decoder." in name else "photos"
         parts[group].append(torch.as_tensor(gradient).double().reshape(-1).cpu())
@@ -198,7 +198,7 @@ def compare(row: Row, step: Step, exact: Step) -> None:
     """Put a step's errors into its row."""
     row.fields = relative(step.fields, exact.fields)[0]
     row.loss = abs(step.loss - exact.loss) / exact.loss
-    row.gradients = {name: relative(step.gradients[name], exact.gradients[name]) for name in GROUPS}
+    row.gradients = {name: relative(step.gradients[name], exact.gradients[name]) for name in CLUSTERS}
 
 
 def relative(value: torch.Tensor, exact: torch.Tensor) -> tuple[float, float]:
@@ -248,12 +248,12 @@ def texel_centres() -> np.ndarray:
 def step_table(rows: list[Row]) -> str:
     """Errors of one step as a Markdown table; gradients as L2 / largest."""
     lines = [
-        f"| one step against float64 | fields | loss | {' | '.join(f'gradient of {name}' for name in GROUPS)} |",
+        f"| one step against float64 | fields | loss | {' | '.join(f'gradient of {name}' for name in CLUSTERS)} |",
         "|---|---:|---:|---:|---:|---:|",
     ]
     for row in rows:
         if row.gradients is not None:
-            pairs = [f"{row.gradients[name][0]:.1e} / {row.gradients[name][1]:.1e}" for name in GROUPS]
+            pairs = [f"{row.gradients[name][0]:.1e} / {row.gradients[name][1]:.1e}" for name in CLUSTERS]
             lines.append(f"| {row.name} | {row.fields:.1e} | {row.loss:.1e} | {' | '.join(pairs)} |")
     return "\n".join(lines)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from dante_w.traced.light_transport import Transfer, sphere
+from dante_w.traced.light_transport import LightTransport, sphere
 from dante_w.traced.shading_points import SIDE, Observations, ShadingPoints
 from dante_w.traced.solver.solve_lights import BRIGHTEST, TOP
-from dante_w.traced.specular import sheen
+from dante_w.traced.specular import specular_radiance
 
 DIRECTIONS, POINTS, PHOTOS, LIGHTS = 64, 1500, 18, 3
 
@@ -16,7 +16,7 @@ DIRECTIONS, POINTS, PHOTOS, LIGHTS = 64, 1500, 18, 3
 @dataclasses.dataclass(frozen=True)
 class World:
     points: ShadingPoints
-    transfer: Transfer
+    transfer: LightTransport
     seen: Observations
     cameras: np.ndarray
     light: np.ndarray
@@ -46,7 +46,7 @@ def make_world(
     cosine = normals @ directions.T
     visible = (cosine > 0.0).astype(np.float32)
     direct = (4.0 / DIRECTIONS * np.maximum(cosine, 0.0)).astype(np.float32)
-    transfer = Transfer(
+    transfer = LightTransport(
         directions,
         visible,
         direct,
@@ -70,7 +70,7 @@ def make_world(
     towards = unit(cameras[photo] - position[point]).astype(np.float32)
     light = of_photo[photo]
     diffuse = albedo[point] * np.tensordot(direct, radiance, axes=(1, 1))[point, light]
-    gloss = sheen(point, light, towards, normals, directions, visible, radiance)
+    gloss = specular_radiance(point, light, towards, normals, directions, visible, radiance)
     colour = np.exp(exposure)[photo, None] * (diffuse + (0.0 if matte else gloss))
     colour *= np.exp(random.normal(0.0, 0.03, colour.shape))
     count = len(photo)

@@ -6,20 +6,21 @@ import numpy as np
 import pytest
 import torch
 from dante_w.traced.solver import smoothness_prior as evenness
-from dante_w.traced.solver.smoothness_prior import FAR, NEAR, WEIGHT, laplacian
-from dante_w.traced.solver.solve_lights import Parts, solve_lights
+from dante_w.traced.solver.smoothness_prior import FAR, NEAR, WEIGHT, smoothness_laplacian
+from dante_w.traced.solver.solve_lights import solve_lights
+from dante_w.traced.state import Components
 from open_world import PHOTOS, World, make_world
 
 
 def unevenness(position: np.ndarray, log_albedo: np.ndarray, of: np.ndarray) -> float:
-    even = laplacian(position, log_albedo, np.random.default_rng(0))
+    even = smoothness_laplacian(position, log_albedo, np.random.default_rng(0))
     return float(of @ (even @ torch.from_numpy(of.astype(np.float32))).numpy())
 
 
 def test_it_is_the_weighted_sum_of_squared_differences_over_pairs():
     random = np.random.default_rng(1)
     position = random.normal(size=(40, 3))
-    even = laplacian(position, np.zeros((40, 3)), random).to_dense().numpy()
+    even = smoothness_laplacian(position, np.zeros((40, 3)), random).to_dense().numpy()
     np.testing.assert_allclose(even, even.T)
     np.testing.assert_allclose(even.sum(axis=1), 0.0, atol=1e-5)
     assert (even - np.diag(np.diag(even)) <= 0.0).all()
@@ -41,7 +42,7 @@ def test_what_differs_in_colour_or_much_in_brightness_need_not_agree():
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_few_points_are_no_trouble(count):
-    even = laplacian(np.zeros((count, 3)), np.zeros((count, 3)), np.random.default_rng(3))
+    even = smoothness_laplacian(np.zeros((count, 3)), np.zeros((count, 3)), np.random.default_rng(3))
     assert even.shape == (count, count) and torch.isfinite(even.to_dense()).all()
 
 
@@ -56,7 +57,7 @@ def shading_left(world: World) -> float:
         light,
         0,
         lambda step, steps: None,
-        Parts(groups=False),
+        Components(clusters=False),
         fine=False,
     )
     error = np.log(found.albedo[found.known]) - np.log(world.albedo[found.known])

@@ -18,7 +18,7 @@ from dante_w.traced.solver.normal_equations import (
     prior_precision,
     step,
 )
-from dante_w.traced.solver.smoothness_prior import laplacian
+from dante_w.traced.solver.smoothness_prior import smoothness_laplacian
 
 POINTS, PHOTOS, LIGHTS, DIRECTIONS = 14, 6, 2, 12
 LIGHT = np.array([0, 1, 0, 1, 1, 0])
@@ -51,7 +51,7 @@ def problem(seed: int = 0) -> tuple[Equations, np.ndarray, ExposurePrior]:
         known=random.uniform(0.0, 1.0, (POINTS, 3)) * (random.random((POINTS, 1)) < 0.5),
         known_residual=random.normal(0.0, 0.2, (POINTS, 3)),
         log_albedo=(log_albedo := random.normal(-1.0, 0.3, (POINTS, 3)).astype(np.float32)),
-        even=laplacian(random.normal(0.0, 1.0, (POINTS, 3)), log_albedo, random),
+        even=smoothness_laplacian(random.normal(0.0, 1.0, (POINTS, 3)), log_albedo, random),
     )
     return equations, random.normal(0.0, 0.3, PHOTOS), ExposurePrior(random.normal(0.0, 0.3, PHOTOS), 0.2)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from dante_w.contract.protocol import Decision
 from dante_w.scene.held_out import choose_held_out
-from dante_w.traced.light_clusters import first_groups
-from dante_w.traced.model_selection import BOUNCED, WORTH, Fixed, choose_parts
-from dante_w.traced.solver.solve_lights import Parts
+from dante_w.traced.light_clusters import first_clusters
+from dante_w.traced.model_selection import BOUNCED, WORTH, Fixed, select_components
+from dante_w.traced.state import Components
 from open_world import PHOTOS, POINTS, World, make_world
 
 
@@ -20,15 +20,15 @@ def few_directions(monkeypatch):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 32)
 
 
-def planned(world: World, **chosen: bool) -> tuple[Parts, dict[str, Decision]]:
+def planned(world: World, **chosen: bool) -> tuple[Components, dict[str, Decision]]:
     said: list[float] = []
-    parts, decisions, begun = choose_parts(
+    parts, decisions, begun = select_components(
         world.cameras,
         world.points,
         world.seen,
         world.transfer,
         None,
-        first_groups(world.seen, len(world.points), len(world.cameras)),
+        first_clusters(world.seen, len(world.points), len(world.cameras)),
         {name: Fixed(on) for name, on in chosen.items()},
         0,
         lambda done, total: said.append(done / total),
@@ -37,63 +37,63 @@ def planned(world: World, **chosen: bool) -> tuple[Parts, dict[str, Decision]]:
     tried = len(choose_held_out(len(world.cameras))) and not set(WORTH) <= set(chosen)
     assert (begun is not None) == bool(tried)
     if begun:
-        assert (len(begun.radiance) > 1) == parts.groups or chosen.get("groups")
+        assert (len(begun.radiance) > 1) == parts.clusters or chosen.get("clusters")
         assert len(begun.radiance) <= len(world.cameras)
-    assert [decision.what for decision in decisions] == list(vars(Parts()))
+    assert [decision.what for decision in decisions] == list(vars(Components()))
     assert all(decision.choice and decision.reason and decision.costs for decision in decisions)
     return parts, {decision.what: decision for decision in decisions}
 
 
 @pytest.mark.parametrize(("lights", "exposures"), [(1, 0.0), (1, 0.35), (3, 0.0), (3, 0.35)])
 def test_what_photos_differ_in_is_modelled(lights, exposures):
-    parts, said = planned(make_world(lights, exposures, matte=True), gloss=False)
-    assert (parts.groups, parts.exposures) == (lights > 1, exposures > 0.0)
-    assert said["groups"].choice == ("several lights" if lights > 1 else "one light")
+    parts, said = planned(make_world(lights, exposures, matte=True), specular=False)
+    assert (parts.clusters, parts.exposures) == (lights > 1, exposures > 0.0)
+    assert said["clusters"].choice == ("several lights" if lights > 1 else "one light")
     assert said["exposures"].choice == ("one for each photo" if exposures else "one for all photos")
-    for part in ("groups", "exposures"):
+    for part in ("clusters", "exposures"):
         assert "dB" in said[part].reason and "nan" not in said[part].reason
     assert not parts.bounce and said["bounce"].reason.startswith("0%")
 
 
 def test_exposures_are_tried_without_gloss_that_is_not_there():
     parts, _ = planned(make_world(1, 0.0, matte=True))
-    assert not (parts.groups or parts.gloss or parts.exposures)
+    assert not (parts.clusters or parts.specular or parts.exposures)
 
 
 @pytest.mark.parametrize("matte", [False, True])
 def test_under_one_light_held_out_photos_tell_gloss(matte):
     parts, said = planned(make_world(1, 0.35, matte=matte))
-    assert not parts.groups and parts.gloss != matte
-    assert "dB" in said["gloss"].reason
-    assert planned(make_world(1, 0.35, matte=matte), gloss=matte)[0].gloss == matte
+    assert not parts.clusters and parts.specular != matte
+    assert "dB" in said["specular"].reason
+    assert planned(make_world(1, 0.35, matte=matte), specular=matte)[0].specular == matte
 
 
 @pytest.mark.parametrize("matte", [False, True])
 def test_under_several_lights_gloss_is_modelled_unless_photos_are_far_worse_with_it(matte):
     parts, said = planned(make_world(3, 0.35, matte=matte))
-    assert parts.groups
-    assert parts.gloss != matte
-    assert "dB" in said["gloss"].reason
+    assert parts.clusters
+    assert parts.specular != matte
+    assert "dB" in said["specular"].reason
 
 
 def test_under_several_lights_gloss_stays_where_photos_hardly_tell(monkeypatch):
     monkeypatch.setattr("dante_w.traced.model_selection.WORTH_OF_GLOSS", -100.0)
     parts, said = planned(make_world(3, 0.35, matte=True))
-    assert parts.groups
-    assert parts.gloss
-    assert "hardly tell: -" in said["gloss"].reason
+    assert parts.clusters
+    assert parts.specular
+    assert "hardly tell: -" in said["specular"].reason
 
 
 def test_what_the_user_says_stands():
     one, many = make_world(1, 0.0), make_world(3, 0.35)
-    parts, said = planned(one, groups=True, exposures=True, bounce=True)
-    assert dataclasses.replace(parts, sun=True) == Parts()
-    parts, _ = planned(many, groups=False, gloss=False)
-    assert dataclasses.replace(parts, sun=False) == Parts(
-        False, exposures=True, bounce=False, gloss=False, sun=False
+    parts, said = planned(one, clusters=True, exposures=True, bounce=True)
+    assert dataclasses.replace(parts, sun=True) == Components()
+    parts, _ = planned(many, clusters=False, specular=False)
+    assert dataclasses.replace(parts, sun=False) == Components(
+        False, exposures=True, bounce=False, specular=False, sun=False
     )
     assert {name for name, each in said.items() if each.reason == "you chose it"} == {
-        "groups",
+        "clusters",
         "exposures",
         "bounce",
     }
@@ -104,15 +104,15 @@ def test_light_from_the_mesh_counts_from_a_share_on(share):
     world = make_world(1, 0.0)
     lost = np.full(POINTS, share, np.float32)
     world = dataclasses.replace(world, transfer=dataclasses.replace(world.transfer, lost=lost))
-    assert planned(world, groups=False, exposures=False)[0].bounce == (share > BOUNCED)
+    assert planned(world, clusters=False, exposures=False)[0].bounce == (share > BOUNCED)
 
 
 def test_too_few_photos_to_try_anything():
     world = make_world()
     few = dataclasses.replace(world, cameras=world.cameras[:4], seen=world.seen.of(world.seen.photo < 4))
     parts, said = planned(few)
-    assert parts.groups and parts.exposures
-    assert said["groups"].reason == said["exposures"].reason == "no held-out photo tells"
+    assert parts.clusters and parts.exposures
+    assert said["clusters"].reason == said["exposures"].reason == "no held-out photo tells"
 
 
 def test_held_out_photos_that_show_nothing():
@@ -120,5 +120,5 @@ def test_held_out_photos_that_show_nothing():
     world = make_world()
     clipped = np.isin(world.seen.photo, [4, 13])
     parts, said = planned(dataclasses.replace(world, seen=dataclasses.replace(world.seen, clipped=clipped)))
-    assert PHOTOS == 18 and parts.groups and parts.exposures
-    assert said["groups"].reason == "no held-out photo tells"
+    assert PHOTOS == 18 and parts.clusters and parts.exposures
+    assert said["clusters"].reason == "no held-out photo tells"

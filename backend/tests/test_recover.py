@@ -32,7 +32,10 @@ STAGES = ["scene", "rays", "transfer", "plan", "lights", "albedo", "bake", "writ
 FIELD_STAGES = ["scene", "rays", "optimise", "held-out", "final pass", "bake", "write"]
 FIELD = ("--irradiance", "field")
 PARTS = ["groups", "exposures", "bounce", "gloss", "sun"]
-PLAN = ["texture", "light", "normals", "directions", "samples", "memory", "time", *PARTS]
+PLAN = [
+    *("texture", "light", "normals", "directions", "samples", "memory", "time"),
+    *("clusters", "exposures", "bounce", "specular", "sun"),
+]
 FIELD_PLAN = ["texture", "light", "samples", "memory", "albedo", "embedding", "exposures"]
 
 
@@ -359,7 +362,7 @@ def test_the_plan_is_said_and_reported(scene, tmp_path, capsys):
     assert all(set(decision) == {"what", "choice", "reason", "costs"} for decision in report["plan"])
     assert report["parts"]["groups"] and not report["parts"]["gloss"]
     chosen = {decision["what"] for decision in report["plan"] if decision["reason"] == "you chose it"}
-    assert chosen == {"groups", "gloss"}
+    assert chosen == {"clusters", "specular"}
     assert report["settings"]["model"] == ["groups"] and report["settings"]["leave_out"] == ["gloss"]
 
 

@@ -13,11 +13,11 @@ from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
 from dante_w.traced import shading_points
 from dante_w.traced.albedo_texture import albedo_texture
-from dante_w.traced.light_transport import trace_transfer
+from dante_w.traced.light_transport import trace_light_transport
 from dante_w.traced.pixel_weights import ALL, Weights
 from dante_w.traced.shading_points import gather
-from dante_w.traced.solver.solve_lights import Lights
-from dante_w.traced.specular import sheen
+from dante_w.traced.specular import specular_radiance
+from dante_w.traced.state import Lighting
 
 PHOTOS, SIZE, PIXELS = 9, 128, 150
 IN_ORDER = np.arange(PHOTOS)
@@ -42,8 +42,8 @@ class World:
         cache, cameras = turned(cache, order), CAMERAS[order]
         points, seen = gather(cache, cameras, weights)
         caster = Raycaster(MESH, FRAME)
-        transfer = trace_transfer(points, caster, UVS, 64, lambda _: None)
-        lights = Lights(
+        transfer = trace_light_transport(points, caster, UVS, 64, lambda _: None)
+        lights = Lighting(
             RADIANCE,
             (np.arange(PHOTOS) % 2)[order],
             EXPOSURE[order],
@@ -99,11 +99,13 @@ def world() -> World:
     edge = np.full(len(face), 8, np.uint8)
     cache = RayCache(surface, starts, face, bary, empty, None, None, None, edge)
     points, seen = gather(cache, CAMERAS)
-    transfer = trace_transfer(points, Raycaster(MESH, FRAME), UVS, 64, lambda _: None)
+    transfer = trace_light_transport(points, Raycaster(MESH, FRAME), UVS, 64, lambda _: None)
     towards = CAMERAS[seen.photo] - points.position[seen.point]
     towards = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
     light = seen.photo % 2
-    gloss = sheen(seen.point, light, towards, points.normal, transfer.directions, transfer.visible, RADIANCE)
+    gloss = specular_radiance(
+        seen.point, light, towards, points.normal, transfer.directions, transfer.visible, RADIANCE
+    )
     shown = np.zeros((PHOTOS, len(points), 3))
     exposure = np.exp(EXPOSURE)[seen.photo, None]
     shown[seen.photo, seen.point] = exposure * ((1.0 + light)[:, None] * ALBEDO + gloss)
@@ -167,8 +169,8 @@ def test_a_highlight_in_each_photo_leaves_no_trace(world):
     u, v = (world.uv * 4.0).T
     photo = photo_of(world)
     colour = np.array(world.cache.colour)
-    shine = np.hypot(u - (photo + 1) / (PHOTOS + 1), v - 0.5) < 0.1
-    colour[shine] = np.minimum(colour[shine] + 0.3, 0.99)
+    add_suns = np.hypot(u - (photo + 1) / (PHOTOS + 1), v - 0.5) < 0.1
+    colour[add_suns] = np.minimum(colour[add_suns] + 0.3, 0.99)
     clean, robust = inside(world.texture()), inside(world.texture(colour=colour))
     glossy = inside(world.texture(dataclasses.replace(ALL, outlier=False), colour))
     assert np.abs(robust - clean).max() < 0.02 < 0.05 < np.abs(glossy - clean).max()

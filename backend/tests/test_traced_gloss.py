@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from dante_w.traced.light_transport import sphere
-from dante_w.traced.specular import ALPHA, REFLECTANCE, sheen
+from dante_w.traced.specular import ALPHA, REFLECTANCE, specular_radiance
 
 DIRECTIONS = 64
 
@@ -45,7 +45,7 @@ def geometry(rows=40, points=10, lights=3):
 
 def test_sheen_is_its_formula():
     point, light, towards, normals, directions, visible, radiance = geometry()
-    found = sheen(point, light, towards, normals, directions, visible, radiance)
+    found = specular_radiance(point, light, towards, normals, directions, visible, radiance)
     assert found.shape == (len(point), 3) and found.dtype == np.float32
     wanted = [
         plainly(normals[p], v, directions, visible[p], radiance[j])
@@ -56,14 +56,20 @@ def test_sheen_is_its_formula():
 
 def test_nothing_visible_nothing_shines():
     point, light, towards, normals, directions, visible, radiance = geometry()
-    assert (sheen(point, light, towards, normals, directions, 0.0 * visible, radiance) == 0.0).all()
+    assert (
+        specular_radiance(point, light, towards, normals, directions, 0.0 * visible, radiance) == 0.0
+    ).all()
     below = ((normals @ directions.T) < 0.0).astype(np.float32)
-    assert (sheen(point, light, towards, normals, directions, below, radiance) == 0.0).all()
+    assert (specular_radiance(point, light, towards, normals, directions, below, radiance) == 0.0).all()
 
 
 def test_uniform_light_returns_a_small_part():
     point, light, towards, normals, directions, visible, radiance = geometry(rows=300)
-    found = sheen(point, light, towards, normals, directions, np.ones_like(visible), np.ones_like(radiance))
+    found = specular_radiance(
+        point, light, towards, normals, directions, np.ones_like(visible), np.ones_like(radiance)
+    )
     assert (found < 1.0).all() and (found > REFLECTANCE / 3.0).all()
     steep = (towards * normals[point]).sum(axis=1)
-    assert found[steep < 0.3].mean() > 1.5 * found[steep > 0.8].mean(), "rough things shine at grazing angles"
+    assert found[steep < 0.3].mean() > 1.5 * found[steep > 0.8].mean(), (
+        "rough things add_suns at grazing angles"
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from dante_w.traced import light_clusters as groups
-from dante_w.traced.light_clusters import first_groups, regroup
+from dante_w.traced.light_clusters import first_clusters, reassign_photos
 from dante_w.traced.shading_points import Observations
 
 LIGHTS, EACH, POINTS = 3, 4, 800
@@ -52,7 +52,7 @@ def moved(world, light, log_irradiance, as_good=1.25):
     target = np.log(seen.colour) - exposure[seen.photo, None]
     weight = np.ones_like(target)
     known = np.ones(POINTS, bool)
-    return regroup(target, log_irradiance, log_albedo, weight, seen, light, known, as_good)
+    return reassign_photos(target, log_irradiance, log_albedo, weight, seen, light, known, as_good)
 
 
 def test_linkage_finds_obvious_clusters():
@@ -82,11 +82,11 @@ def test_linkage_takes_the_mean_of_all_members():
 
 def test_first_groups_are_pure(world, monkeypatch):
     seen = world[3]
-    found = first_groups(seen, POINTS, PHOTOS)
+    found = first_clusters(seen, POINTS, PHOTOS)
     assert found.shape == (PHOTOS,) and pure(found)
-    assert len(np.unique(found)) == groups.GROUPS
-    monkeypatch.setattr(groups, "GROUPS", LIGHTS)
-    assert same_partition(first_groups(seen, POINTS, PHOTOS), TRUTH)
+    assert len(np.unique(found)) == groups.CLUSTERS
+    monkeypatch.setattr(groups, "CLUSTERS", LIGHTS)
+    assert same_partition(first_clusters(seen, POINTS, PHOTOS), TRUTH)
 
 
 def test_linkage_passes_over_what_is_not_known():
@@ -104,13 +104,13 @@ def test_linkage_passes_over_what_is_not_known():
 
 @pytest.mark.parametrize("count", [6, 9])
 def test_of_many_photos_some_are_compared_with_all(world, monkeypatch, count):
-    monkeypatch.setattr(groups, "GROUPS", LIGHTS)
+    monkeypatch.setattr(groups, "CLUSTERS", LIGHTS)
     monkeypatch.setattr(groups, "COMPARED", count)
-    assert same_partition(first_groups(world[3], POINTS, PHOTOS), TRUTH)
+    assert same_partition(first_clusters(world[3], POINTS, PHOTOS), TRUTH)
 
 
 def test_clipped_and_dark_observations_do_not_group(world, monkeypatch):
-    monkeypatch.setattr(groups, "GROUPS", LIGHTS)
+    monkeypatch.setattr(groups, "CLUSTERS", LIGHTS)
     seen = world[3]
     random = np.random.default_rng(4)
     bad = random.random(len(seen.point)) < 0.2
@@ -118,14 +118,14 @@ def test_clipped_and_dark_observations_do_not_group(world, monkeypatch):
     colour[bad & (seen.point % 2 == 0)] = 0.0
     clipped = bad & (seen.point % 2 == 1)
     spoilt = Observations(seen.point, seen.photo, colour, seen.pixels, clipped)
-    assert same_partition(first_groups(spoilt, POINTS, PHOTOS), TRUTH)
+    assert same_partition(first_clusters(spoilt, POINTS, PHOTOS), TRUTH)
 
 
 def test_photos_without_common_points_still_get_a_group(world):
     seen = world[3]
-    found = first_groups(seen.of(seen.point % PHOTOS == seen.photo), POINTS, PHOTOS)
-    assert found.shape == (PHOTOS,) and len(np.unique(found)) == groups.GROUPS
-    assert (first_groups(seen.of(seen.photo == 0), POINTS, 1) == 0).all()
+    found = first_clusters(seen.of(seen.point % PHOTOS == seen.photo), POINTS, PHOTOS)
+    assert found.shape == (PHOTOS,) and len(np.unique(found)) == groups.CLUSTERS
+    assert (first_clusters(seen.of(seen.photo == 0), POINTS, 1) == 0).all()
 
 
 def test_a_misplaced_photo_moves(world):

@@ -7,11 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 from dante_w.traced.held_out import place
-from dante_w.traced.solver.solve_lights import Lights, Parts, solve_lights
+from dante_w.traced.solver.solve_lights import solve_lights
+from dante_w.traced.state import Components, Lighting
 from open_world import LIGHTS, PHOTOS, POINTS, World, make_world
 
 HELD_OUT = np.array([4, 11])
-PARTS = Parts(bounce=False)
+PARTS = Components(bounce=False)
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +21,7 @@ def world() -> World:
 
 
 @pytest.fixture(scope="module")
-def lights(world: World) -> Lights:
+def lights(world: World) -> Lighting:
     """Solved without the held-out photos, which are as if under light 0."""
     seen = world.seen.of(~np.isin(world.seen.photo, HELD_OUT))
     light = world.light.copy()
@@ -28,20 +29,22 @@ def lights(world: World) -> Lights:
     return solve_lights(world.points, world.transfer, seen, world.cameras, light, 0, lambda *_: None, PARTS)
 
 
-def placed(world: World, lights: Lights, parts: Parts = PARTS, **changed) -> tuple[Lights, float | None]:
+def placed(
+    world: World, lights: Lighting, parts: Components = PARTS, **changed
+) -> tuple[Lighting, float | None]:
     seen = dataclasses.replace(world.seen, **changed)
     return place(lights, world.points, world.transfer, seen, world.cameras, HELD_OUT, parts)
 
 
 def test_they_get_their_light_and_exposure(world, lights):
     found, score = placed(world, lights)
-    assert found.light[HELD_OUT].tolist() == world.light[HELD_OUT].tolist() == [1, 2]
+    assert found.cluster[HELD_OUT].tolist() == world.light[HELD_OUT].tolist() == [1, 2]
     off = found.log_exposure - world.exposure
     for photo in HELD_OUT:
         mine = (world.light == world.light[photo]) & ~np.isin(np.arange(PHOTOS), HELD_OUT)
         assert off[photo] == pytest.approx(off[mine].mean(), abs=0.03)
     others = ~np.isin(np.arange(PHOTOS), HELD_OUT)
-    assert (found.light[others] == lights.light[others]).all()
+    assert (found.cluster[others] == lights.cluster[others]).all()
     assert (found.log_exposure[others] == lights.log_exposure[others]).all()
     # colours carry noise of 3%: in sRGB some 35 dB
     assert score is not None and 30.0 < score < 45.0
@@ -82,7 +85,7 @@ def test_exposures_that_are_one_for_all_are_not_fitted(world, lights):
 
 
 def test_without_gloss_matte_photos_are_explained_worse(world, lights):
-    score = placed(world, lights, dataclasses.replace(PARTS, gloss=False))[1]
+    score = placed(world, lights, dataclasses.replace(PARTS, specular=False))[1]
     fitted = placed(world, lights)[1]
     assert score is not None and fitted is not None and score < fitted - 0.5
 
@@ -91,4 +94,4 @@ def test_nothing_to_score(world, lights):
     for changed in ({"clipped": np.ones(len(world.seen.point), bool)}, {"photo": 0 * world.seen.photo}):
         found, score = placed(world, lights, **changed)
         assert score is None
-        assert found.light[HELD_OUT].tolist() == [0, 0] and len(found.radiance) == LIGHTS
+        assert found.cluster[HELD_OUT].tolist() == [0, 0] and len(found.radiance) == LIGHTS

@@ -10,23 +10,15 @@ import pytest
 from dante_w.contract.errors import BadInput
 from dante_w.traced.shading_points import Observations
 from dante_w.traced.solver.normal_equations import Equations, step
-from dante_w.traced.solver.solve_lights import (
-    BRIGHTEST,
-    FEWEST_PHOTOS,
-    LEVEL_TRUST,
-    TOP,
-    KnownAlbedo,
-    Lights,
-    Parts,
-    solve_lights,
-)
-from dante_w.traced.specular import sheen
+from dante_w.traced.solver.solve_lights import BRIGHTEST, FEWEST_PHOTOS, LEVEL_TRUST, TOP, solve_lights
+from dante_w.traced.specular import specular_radiance
+from dante_w.traced.state import AlbedoPrior, Components, Lighting
 from open_world import DIRECTIONS, LIGHTS, PHOTOS, POINTS, World, make_world, unit
 
 LIGHT = np.arange(PHOTOS) % LIGHTS
 
 
-def solved(world: World, seen: Observations | None = None, seed: int = 0, **options: Any) -> Lights:
+def solved(world: World, seen: Observations | None = None, seed: int = 0, **options: Any) -> Lighting:
     """Starting with each light split in two and one photo in the wrong group."""
     first = LIGHT + LIGHTS * (np.arange(PHOTOS) >= PHOTOS // 2)
     first[0] = first[1]
@@ -45,13 +37,13 @@ def solved(world: World, seen: Observations | None = None, seed: int = 0, **opti
     return found
 
 
-def albedo_error(world: World, found: Lights) -> float:
+def albedo_error(world: World, found: Lighting) -> float:
     """Rms of log albedo at known points, after one gain per channel."""
     error = np.log(found.albedo[found.known]) - np.log(world.albedo[found.known])
     return float(np.sqrt(np.square(error - error.mean(axis=0)).mean()))
 
 
-def assert_finite(found: Lights) -> None:
+def assert_finite(found: Lighting) -> None:
     for name, value in vars(found).items():
         assert np.isfinite(value).all(), name
 
@@ -62,7 +54,7 @@ def world() -> World:
 
 
 @pytest.fixture(scope="module")
-def found(world: World) -> Lights:
+def found(world: World) -> Lighting:
     return solved(world)
 
 
@@ -70,8 +62,10 @@ def test_albedo_is_recovered_up_to_a_gain(world, found):
     assert_finite(found)
     assert found.known.mean() > 0.9
     assert albedo_error(world, found) < 0.03
-    assert np.quantile(found.albedo[found.known].max(axis=1), BRIGHTEST) == pytest.approx(found.top, rel=1e-3)
-    assert found.top == pytest.approx(TOP, rel=0.05), "as in the world: sheen tells"
+    assert np.quantile(found.albedo[found.known].max(axis=1), BRIGHTEST) == pytest.approx(
+        found.brightest_albedo, rel=1e-3
+    )
+    assert found.brightest_albedo == pytest.approx(TOP, rel=0.05), "as in the world: sheen tells"
 
 
 def test_lights_go_on_from_a_fit_of_fewer_observations(world, found):
@@ -91,7 +85,7 @@ def test_a_fit_goes_on_without_exposures():
     begun = dataclasses.replace(
         begun, log_exposure=begun.log_exposure + 1.0, radiance=begun.radiance / np.float32(np.e)
     )
-    again = solved(world, begun=begun, parts=Parts(exposures=False))
+    again = solved(world, begun=begun, parts=Components(exposures=False))
     assert np.ptp(again.log_exposure) < 0.01
     assert albedo_error(world, again) < 0.03 and not again.setbacks
 
@@ -114,14 +108,14 @@ def test_points_of_smaller_cells_count_more(world, monkeypatch, sides, counts):
 def test_sheen_tells_the_level_of_albedo(top):
     dark = make_world(top=top)
     found = solved(dark)
-    told = np.log(found.top / TOP) / LEVEL_TRUST  # it is told whole here, and believed in part
+    told = np.log(found.brightest_albedo / TOP) / LEVEL_TRUST  # it is told whole here, and believed in part
     assert told == pytest.approx(np.log(top / TOP), abs=0.15)
     ratio = found.albedo[found.known].mean() / dark.albedo.mean()
     assert ratio == pytest.approx((TOP / top) ** (1.0 - LEVEL_TRUST), rel=0.1)
 
 
 def test_each_light_is_found_once_and_relative_exposures_are_right(world, found):
-    together = found.light[:, None] == found.light
+    together = found.cluster[:, None] == found.cluster
     assert (together == (LIGHT[:, None] == LIGHT)).all()
     assert found.radiance.shape == (LIGHTS, DIRECTIONS, 3)
     for j in range(LIGHTS):
@@ -133,9 +127,9 @@ def test_each_light_is_found_once_and_relative_exposures_are_right(world, found)
 def test_the_model_explains_the_photos(world, found):
     seen = world.seen
     towards = unit(world.cameras[seen.photo] - world.points.position[seen.point]).astype(np.float32)
-    light = found.light[seen.photo]
+    light = found.cluster[seen.photo]
     transfer = world.transfer
-    gloss = sheen(
+    gloss = specular_radiance(
         seen.point, light, towards, world.points.normal, transfer.directions, transfer.visible, found.radiance
     )
     irradiance = np.tensordot(transfer.direct, found.radiance, axes=(1, 1)) + found.bounce
@@ -215,8 +209,8 @@ def test_without_the_last_steps_light_comes_from_few_directions(world, quick):
 
 
 def test_parts_that_are_off_are_not_modelled(world, quick):
-    found = solved(world, parts=Parts(groups=False, exposures=False, bounce=False), fine=False)
-    assert (found.light == 0).all() and len(found.radiance) == 1
+    found = solved(world, parts=Components(clusters=False, exposures=False, bounce=False), fine=False)
+    assert (found.cluster == 0).all() and len(found.radiance) == 1
     assert np.ptp(found.log_exposure) < 0.01
     assert not found.bounce.any()
 
@@ -255,9 +249,9 @@ def test_a_prior_sets_level_and_tint(world, found):
     random = np.random.default_rng(8)
     log_albedo = np.log(world.albedo * gain) + random.normal(0.0, 0.2, world.albedo.shape)
     trust = np.where(np.arange(POINTS) % 3 == 0, 0.0, 0.25).astype(np.float32)
-    told = solved(world, prior=KnownAlbedo(log_albedo.astype(np.float32), trust))
+    told = solved(world, prior=AlbedoPrior(log_albedo.astype(np.float32), trust))
     off = np.log(told.albedo / world.albedo)[told.known]
     np.testing.assert_allclose(off.mean(axis=0), np.log(gain), atol=0.05)
     assert albedo_error(world, told) < 0.05, "photos decide on the rest"
-    nothing = solved(world, prior=KnownAlbedo(log_albedo.astype(np.float32), 0.0 * trust))
+    nothing = solved(world, prior=AlbedoPrior(log_albedo.astype(np.float32), 0.0 * trust))
     np.testing.assert_array_equal(nothing.albedo, found.albedo)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from dante_w.core.color import srgb_from_linear_array
 from dante_w.rays.ray_cache import RayCache, Surface
-from dante_w.traced.albedo_prior import ENOUGH_VIEWS, TRUST, known_albedo
+from dante_w.traced.albedo_prior import ENOUGH_VIEWS, TRUST, fuse_priors
 from dante_w.traced.shading_points import SIDE, ShadingPoints, gather
 
 VIEWS, CELLS = 6, 24  # cells along either side of the part of the texture that is seen
@@ -56,11 +56,11 @@ EVERYTHING = [np.arange(CELLS * CELLS)] * VIEWS
 
 def test_each_views_gain_is_taken_out():
     cache = cache_of([colours() * gain for gain in GAINS], EVERYTHING)
-    found = known_albedo(cache, points_of(cache))
+    found = fuse_priors(cache, points_of(cache))
     assert found is not None
     off = found.log_albedo - np.log(colours())
     np.testing.assert_allclose(off.mean(axis=0), np.log(GAINS).mean(axis=0), atol=0.01)
-    np.testing.assert_allclose(found.trust, TRUST)
+    np.testing.assert_allclose(found.weight, TRUST)
 
 
 def test_what_few_views_see_has_no_seams():
@@ -69,7 +69,7 @@ def test_what_few_views_see_has_no_seams():
     cells = [np.flatnonzero((row >= 3 * view) & (row < 3 * view + 9)) for view in range(VIEWS)]
     cache = cache_of([colours()[own] * gain for own, gain in zip(cells, GAINS, strict=True)], cells)
     points = points_of(cache)
-    found = known_albedo(cache, points)
+    found = fuse_priors(cache, points)
     assert found is not None and len(points) == CELLS * CELLS
     off = found.log_albedo - np.log(colours())
     plain = sum(
@@ -78,7 +78,7 @@ def test_what_few_views_see_has_no_seams():
     )
     views = np.sum([np.bincount(own, minlength=CELLS * CELLS) for own in cells], axis=0)
     assert off.std(axis=0).mean() < 0.8 * (plain / views[:, None]).std(axis=0).mean()
-    np.testing.assert_allclose(found.trust, TRUST * np.minimum(views, ENOUGH_VIEWS) / ENOUGH_VIEWS)
+    np.testing.assert_allclose(found.weight, TRUST * np.minimum(views, ENOUGH_VIEWS) / ENOUGH_VIEWS)
 
 
 def test_the_order_of_views_does_not_matter():
@@ -90,10 +90,10 @@ def test_the_order_of_views_does_not_matter():
     ]
     ahead = cache_of(priors, cells)
     back = cache_of(priors[::-1], cells[::-1])
-    a, b = (known_albedo(cache, points_of(cache)) for cache in (ahead, back))
+    a, b = (fuse_priors(cache, points_of(cache)) for cache in (ahead, back))
     assert a is not None and b is not None
     np.testing.assert_allclose(a.log_albedo, b.log_albedo, atol=1e-5)
-    np.testing.assert_array_equal(a.trust, b.trust)
+    np.testing.assert_array_equal(a.weight, b.weight)
 
 
 @pytest.mark.parametrize("missing", [0, 3, VIEWS - 1])
@@ -103,20 +103,20 @@ def test_a_view_without_a_prior_is_as_if_it_were_not_there(missing):
         [None if view == missing else prior for view, prior in enumerate(priors)], EVERYTHING
     )
     without = cache_of(priors[:missing] + priors[missing + 1 :], EVERYTHING[1:])
-    a, b = (known_albedo(cache, points_of(cache)) for cache in (with_hole, without))
+    a, b = (fuse_priors(cache, points_of(cache)) for cache in (with_hole, without))
     assert a is not None and b is not None
     np.testing.assert_allclose(a.log_albedo, b.log_albedo, atol=1e-6)
-    np.testing.assert_array_equal(a.trust, b.trust)
+    np.testing.assert_array_equal(a.weight, b.weight)
 
 
 def test_pixels_that_are_not_a_number_and_points_without_a_prior():
     prior = colours()
     prior[:5, 1] = np.nan
     cache = cache_of([prior, None], EVERYTHING[:2])
-    found = known_albedo(cache, points_of(cache), weight=2.0)
+    found = fuse_priors(cache, points_of(cache), weight=2.0)
     assert found is not None and np.isfinite(found.log_albedo).all()
-    np.testing.assert_allclose(found.trust[:5], 0.0)
-    np.testing.assert_allclose(found.trust[5:], 2.0 * TRUST / ENOUGH_VIEWS)
+    np.testing.assert_allclose(found.weight[:5], 0.0)
+    np.testing.assert_allclose(found.weight[5:], 2.0 * TRUST / ENOUGH_VIEWS)
     np.testing.assert_allclose(found.log_albedo[5:], np.log(colours()[5:]), atol=0.01)
 
 
@@ -135,15 +135,15 @@ def test_what_is_not_to_be_trusted_counts_less():
             for name in ("face", "bary", "colour", "prior")
         ),
     )
-    found = known_albedo(cache, points_of(cache))
+    found = fuse_priors(cache, points_of(cache))
     assert found is not None
     np.testing.assert_allclose(found.log_albedo, np.log(colours()), atol=0.1)  # log(7 / 3) = 0.85 otherwise
-    np.testing.assert_allclose(found.trust[wrong], 1.02 * TRUST / ENOUGH_VIEWS, rtol=1e-3)
-    np.testing.assert_allclose(found.trust[~wrong], 3.0 * TRUST / ENOUGH_VIEWS, rtol=1e-3)
+    np.testing.assert_allclose(found.weight[wrong], 1.02 * TRUST / ENOUGH_VIEWS, rtol=1e-3)
+    np.testing.assert_allclose(found.weight[~wrong], 3.0 * TRUST / ENOUGH_VIEWS, rtol=1e-3)
 
 
 def test_no_priors_tell_nothing():
     cache = cache_of([None, None], EVERYTHING[:2])
-    assert known_albedo(cache, points_of(cache)) is None
+    assert fuse_priors(cache, points_of(cache)) is None
     cache = RayCache(cache.surface, cache.starts, cache.face, cache.bary, cache.colour, None)
-    assert known_albedo(cache, points_of(cache)) is None
+    assert fuse_priors(cache, points_of(cache)) is None

@@ -10,7 +10,7 @@ from dante_w.traced.solver.variable_projection import (
     LEAST_DIFFUSE,
     OUTLIER,
     by_point,
-    project,
+    project_albedo,
 )
 
 
@@ -71,7 +71,7 @@ def test_it_is_the_same_written_out_in_float64(cold, observations):
     log_albedo = first.astype(np.float32)
     out = [np.empty((observations, 3), np.float32) for _ in range(4)]
     arrays = [array for name, array in of.items() if name != "point"]
-    project(*arrays, cold, log_albedo, *out)
+    project_albedo(*arrays, cold, log_albedo, *out)
     for found, exact in zip([log_albedo, *out], expected, strict=True):
         np.testing.assert_allclose(found, exact, rtol=2e-4, atol=2e-5)
 

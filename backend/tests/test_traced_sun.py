@@ -7,15 +7,16 @@ import pytest
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
 from dante_w.traced.albedo_texture import irradiance_of
-from dante_w.traced.light_transport import sunlit, trace_transfer, with_suns
+from dante_w.traced.light_transport import sunlit, trace_light_transport, with_suns
 from dante_w.traced.shading_points import Observations, ShadingPoints
-from dante_w.traced.solver.solve_lights import Lights, Parts, evidence, solve_lights
-from dante_w.traced.specular import sheen
-from dante_w.traced.sun import peaks, with_own_suns
+from dante_w.traced.solver.solve_lights import evidence, solve_lights
+from dante_w.traced.specular import specular_radiance
+from dante_w.traced.state import Components, Lighting
+from dante_w.traced.sun import find_and_add_suns, peaks
 
 SIDE, PHOTOS = 40, 4
 SUN = np.array([0.55, 0.2, 0.81]) / np.linalg.norm([0.55, 0.2, 0.81])
-PARTS = Parts(exposures=False, bounce=False, gloss=False)
+PARTS = Components(exposures=False, bounce=False, specular=False)
 CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 
@@ -43,7 +44,7 @@ class World:
         normal = np.tile(np.float32((0.0, 0.0, 1.0)), (SIDE**2, 1))
         self.points = ShadingPoints(np.arange(SIDE**2, dtype=np.int32), position, normal)
         uvs = np.zeros((len(mesh.faces), 3, 2))
-        self.transfer = trace_transfer(self.points, self.caster, uvs, 256, lambda _: None)
+        self.transfer = trace_light_transport(self.points, self.caster, uvs, 256, lambda _: None)
         patches = np.where((np.floor(x * 3) + np.floor(y * 3)) % 2 == 0, 0.5, 0.3)
         self.albedo = patches[:, None] * np.array([1.0, 0.8, 0.6])
         seen = sunlit(position, normal, self.caster, SUN)
@@ -60,13 +61,13 @@ class World:
         )
         self.cameras = np.array([(0.5 + 0.3 * k, 0.5, 3.0) for k in range(PHOTOS)])
 
-    def solved(self) -> Lights:
+    def solved(self) -> Lighting:
         one = np.zeros(PHOTOS, np.int64)
         return solve_lights(
             self.points, self.transfer, self.seen, self.cameras, one, 0, lambda *_: None, PARTS
         )
 
-    def error(self, lights: Lights) -> float:
+    def error(self, lights: Lighting) -> float:
         """Standard deviation of log albedo's error: level and tint are open."""
         off = np.log(lights.albedo / self.albedo)[lights.known]
         return float((off - off.mean(axis=0)).std())
@@ -77,7 +78,7 @@ def test_a_sun_is_found_where_it_stands_and_its_shadows_leave_the_albedo(strengt
     world = World(strength)
     lights = world.solved()
     of = evidence(world.points, world.seen, world.cameras, PARTS)
-    transfer, found = with_own_suns(of, world.transfer, lights, world.caster, 0)
+    transfer, found = find_and_add_suns(of, world.transfer, lights, world.caster, 0)
     assert transfer.suns == 1 and found.setbacks == ()
     assert np.degrees(np.arccos(transfer.directions[-1] @ SUN)) < 2.0
     assert world.error(found) < 0.6 * world.error(lights)
@@ -88,7 +89,7 @@ def test_without_a_sun_or_without_shadows_there_is_none(strength, posts):
     world = World(strength, posts)
     lights = world.solved()
     of = evidence(world.points, world.seen, world.cameras, PARTS)
-    transfer, same = with_own_suns(of, world.transfer, lights, world.caster, 0)
+    transfer, same = find_and_add_suns(of, world.transfer, lights, world.caster, 0)
     assert transfer is world.transfer and same is lights
 
 
@@ -116,7 +117,9 @@ def test_suns_leave_the_sphere_as_it_was():
     point, light = np.arange(50), np.zeros(50, np.int64)
     towards = world.points.towards(point, world.cameras[0])
     shown = [
-        sheen(point, light, towards, world.points.normal, each.directions, each.visible, emitted, each.suns)
+        specular_radiance(
+            point, light, towards, world.points.normal, each.directions, each.visible, emitted, each.suns
+        )
         for each, emitted in ((world.transfer, radiance), (transfer, dark))
     ]
     np.testing.assert_allclose(shown[0], shown[1], rtol=1e-6)

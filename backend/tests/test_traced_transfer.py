@@ -11,7 +11,7 @@ from dante_w.core.color import linear_from_srgb_array
 from dante_w.rays.ray_cache import RayCache, Surface
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
-from dante_w.traced.light_transport import Transfer, bounced, sphere, trace_transfer
+from dante_w.traced.light_transport import LightTransport, bounced, sphere, trace_light_transport
 from dante_w.traced.shading_points import CLIPPED, SIDE, ShadingPoints, cells, facing, gather
 
 CHART = 8  # cells along either side of a quad's chart
@@ -52,11 +52,11 @@ def everywhere(mesh: Mesh, camera: np.ndarray = CENTRE) -> ShadingPoints:
     return gather(cache, camera)[0]
 
 
-def traced(mesh: Mesh, points: ShadingPoints, count: int = 64) -> Transfer:
+def traced(mesh: Mesh, points: ShadingPoints, count: int = 64) -> LightTransport:
     frame = Frame3D.of(mesh.vertices)
     assert mesh.uvs is not None
     caster = Raycaster(mesh, frame)
-    return trace_transfer(points, caster, mesh.uvs, count, lambda _: None)
+    return trace_light_transport(points, caster, mesh.uvs, count, lambda _: None)
 
 
 def one_point(
@@ -159,7 +159,7 @@ def test_bounced_light_comes_from_the_wall_it_left():
 
 def test_unseen_parts_send_the_mean_of_what_leaves():
     none = np.zeros(0, np.int64)
-    transfer = Transfer(
+    transfer = LightTransport(
         sphere(4),
         np.ones((3, 4), np.float32),
         np.ones((3, 4), np.float32),
@@ -170,7 +170,7 @@ def test_unseen_parts_send_the_mean_of_what_leaves():
     )
     leaving = np.array([[1.0], [2.0], [6.0]], np.float32)
     np.testing.assert_allclose(bounced(transfer, leaving), [[3.0], [0.75], [0.0]])
-    dark = Transfer(transfer.directions, transfer.visible, transfer.direct, np.zeros(4, np.int64), none,
+    dark = LightTransport(transfer.directions, transfer.visible, transfer.direct, np.zeros(4, np.int64), none,
                     np.zeros(0, np.float32), np.zeros(3, np.float32))  # fmt: skip
     np.testing.assert_array_equal(bounced(dark, leaving), 0.0)
 

@@ -15,8 +15,9 @@ from dante_w.run import checkpoints
 from dante_w.run.checkpoints import Checkpoints
 from dante_w.run.setbacks import MOST, Setback
 from dante_w.traced.solver import solve_lights as lights
-from dante_w.traced.solver.solve_lights import FIRST_STEPS, Lights, solve_lights
+from dante_w.traced.solver.solve_lights import FIRST_STEPS, solve_lights
 from dante_w.traced.solver.step_control import MARGIN, ROSE, Course, look
+from dante_w.traced.state import Lighting
 from open_world import LIGHTS, PHOTOS, World, make_world
 
 STEP = lights.step
@@ -41,18 +42,18 @@ def struck(monkeypatch: pytest.MonkeyPatch, wild: Change, *at: int) -> None:
     monkeypatch.setattr(lights, "step", step)
 
 
-def solved(world: World) -> Lights:
+def solved(world: World) -> Lighting:
     light = np.arange(PHOTOS) % LIGHTS
     return solve_lights(world.points, world.transfer, world.seen, world.cameras, light, 0, lambda *_: None)
 
 
-def error(world: World, found: Lights) -> float:
+def error(world: World, found: Lighting) -> float:
     """Rms of log albedo at known points, after one gain per channel."""
     off = np.log(found.albedo[found.known]) - np.log(world.albedo[found.known])
     return float(np.sqrt(np.square(off - off.mean(axis=0)).mean()))
 
 
-def assert_finite(found: Lights) -> None:
+def assert_finite(found: Lighting) -> None:
     for each in (found.radiance, found.log_exposure, found.bounce, found.albedo):
         assert np.isfinite(each).all()
 
@@ -63,7 +64,7 @@ def world() -> World:
 
 
 @pytest.fixture(scope="module")
-def plain(world: World) -> Lights:
+def plain(world: World) -> Lighting:
     return solved(world)
 
 
@@ -128,14 +129,14 @@ def test_equations_that_had_to_be_damped_harder_are_told(world, monkeypatch):
     monkeypatch.setattr(lights, "LAST_STEPS", 0)
     found = solved(world)
     assert {each.rate for each in found.setbacks} == {1e-3}
-    assert len(found.setbacks) == FIRST_STEPS - len(lights.REGROUP)
+    assert len(found.setbacks) == FIRST_STEPS - len(lights.REASSIGN)
 
 
 def test_setbacks_are_kept_with_the_lights(plain, tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoints, "SECONDS", 0.0)
     setbacks = (Setback(5, "the cost rose", 0.1), Setback(6, "the cost rose", 0.01))
     Checkpoints(tmp_path / "kept", "key").save("lights", dataclasses.replace(plain, setbacks=setbacks))
-    found = Checkpoints(tmp_path / "kept", "key").load("lights", Lights)
+    found = Checkpoints(tmp_path / "kept", "key").load("lights", Lighting)
     assert found is not None and found.setbacks == setbacks
 
 

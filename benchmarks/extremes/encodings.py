@@ -15,8 +15,8 @@ from dante_w.field.hash_encoding import GridSpec, HashGrid, encode_reference
 from dante_w.field.optimise import model_loss
 from dante_w.field.pyramid import LevelSum
 from precision import (
+    CLUSTERS,
     EXACT,
-    GROUPS,
     PHOTOS,
     SPEC,
     TERMS,
@@ -112,7 +112,7 @@ def step_rows() -> Iterator[Row]:
         errors = Errors(way.name)
         compare(errors, one_step(prepared(fitted, way), way), exact)
         assert errors.gradients is not None and errors.loss is not None
-        worst = max(errors.gradients[group][0] for group in GROUPS)
+        worst = max(errors.gradients[group][0] for group in CLUSTERS)
         finite = np.isfinite(worst) and np.isfinite(errors.loss)
         yield Row(
             f"a step in {way.name}",

@@ -14,10 +14,11 @@ from dante_w import __version__
 from dante_w.commands.worker import run
 from dante_w.contract.errors import BAD_INPUT, DONE
 from dante_w.contract.protocol import Failed, encode
+from dante_w.contract.vocabulary import COMPONENTS
 from dante_w.run import distributed
 
-#: Parts of the light that a plan decides on, see `traced.lights.Parts`.
-PARTS = ("groups", "exposures", "bounce", "gloss", "sun")
+#: Words for the components of the light, old ones too.
+COMPONENT_WORDS = sorted({word for each in COMPONENTS for word in (each.name, each.key)})
 
 
 def main(arguments: Sequence[str] | None = None, leave: Callable[[int], Any] = os._exit) -> int:
@@ -72,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
             ("--leave-out", "leave_out", "do not model this part (repeatable)"),
         ):
             command.add_argument(
-                option, dest=name, action="append", choices=PARTS, default=[], help=help_text
+                option, dest=name, action="append", choices=COMPONENT_WORDS, default=[], help=help_text
             )
     recover.add_argument(
         "--known",

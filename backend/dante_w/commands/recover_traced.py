@@ -27,6 +27,7 @@ from dante_w.commands.stages import (
 )
 from dante_w.contract.protocol import Decision
 from dante_w.contract.scene_folder import Scene
+from dante_w.contract.vocabulary import component
 from dante_w.estimate.expectation import QUALITY, Expectation, Work, predict
 from dante_w.estimate.memory import (
     AVERAGED,
@@ -47,15 +48,15 @@ from dante_w.run.checkpoints import Checkpoints, open_checkpoints
 from dante_w.run.progress import Progress
 from dante_w.scene.held_out import choose_held_out
 from dante_w.scene.mesh import Mesh
-from dante_w.traced.model_selection import Fixed, choose_parts
-from dante_w.traced.pipeline import Traced, examine, recover_albedo
-from dante_w.traced.solver.solve_lights import Lights, Parts
+from dante_w.traced.model_selection import Fixed, select_components
+from dante_w.traced.pipeline import TracedScene, examine, recover_albedo
+from dante_w.traced.state import Components, Lighting
 
 #: Directions that light comes from: fewer lose the shadows' edges, more cost time (squared) and tell no more.
 DIRECTIONS = {"draft": 64, "standard": 256, "high": 256, "paper": 256}
 #: Shading points along either side of the texture, in multiples of `shading_points.SIDE`.
 FINER = {"high": 2}
-#: Parts that a preset leaves out: on the bust of the README suns take a third of `draft`'s time, for 1.7 dB after gain.
+#: Components that a preset leaves out: on the bust of the README suns take a third of `draft`'s time, for 1.7 dB after gain.
 LEFT_OUT = {"draft": ("sun",)}
 #: Presets whose lights go on from those that the plan has found. With `standard` that is 4 s less, too, but loses 0.17 dB after gain and 0.3
 #: as it is (means of four objects and three seeds).
@@ -156,15 +157,15 @@ def _start(options: argparse.Namespace, staging: Path, progress: Progress) -> _B
 
 @dataclass(frozen=True)
 class _Planned:
-    parts: Parts
+    parts: Components
     decisions: list[Decision]
-    begun: Lights | None
+    begun: Lighting | None
 
-    def lights(self, of: Traced) -> int:
+    def lights(self, of: TracedScene) -> int:
         """How many to expect."""
         if self.begun:
             return len(self.begun.radiance)
-        return int(of.groups.max()) + 1 if self.parts.groups else 1
+        return int(of.groups.max()) + 1 if self.parts.clusters else 1
 
 
 def _plan(
@@ -174,18 +175,18 @@ def _plan(
     count: int,
     progress: Progress,
     kept: Checkpoints | None = None,
-) -> tuple[Traced, _Planned, list[Decision]]:
+) -> tuple[TracedScene, _Planned, list[Decision]]:
     """Trace light from `count` directions, decide what to model, and say so."""
 
-    def trace() -> Traced:
+    def trace() -> TracedScene:
         finer, frames = FINER.get(options.preset, 1), begun.scene.frames
         return examine(cache, begun.mesh, frames, count, options.prior_weight, progress, finer)
 
-    of = kept.done("transfer", Traced, trace) if kept else trace()
+    of = kept.done("transfer", TracedScene, trace) if kept else trace()
     progress.update("plan", 0.0, 1.0)
 
     def choose() -> _Planned:
-        chosen = choose_parts(
+        chosen = select_components(
             of.cameras,
             of.points,
             of.seen,
@@ -217,11 +218,14 @@ def _plan(
 def _fixed(options: argparse.Namespace) -> dict[str, Fixed]:
     """The parts that the preset decides, and the user, who has the last word."""
     by_preset = dict.fromkeys(LEFT_OUT.get(options.preset, ()), Fixed(False, f"the preset {options.preset}"))
-    by_user = dict.fromkeys(options.model, Fixed(True)) | dict.fromkeys(options.leave_out, Fixed(False))
+    modelled, left_out = (
+        [component(word).name for word in words] for words in (options.model, options.leave_out)
+    )
+    by_user = dict.fromkeys(modelled, Fixed(True)) | dict.fromkeys(left_out, Fixed(False))
     return by_preset | by_user
 
 
-def _to_come(begun: _Begun, cache: RayCache, of: Traced, planned: _Planned) -> dict[str, float]:
+def _to_come(begun: _Begun, cache: RayCache, of: TracedScene, planned: _Planned) -> dict[str, float]:
     """Seconds of the stages from `transfer` on, now that it is known what there is to do."""
     work = replace(
         begun.work,
@@ -235,7 +239,9 @@ def _to_come(begun: _Begun, cache: RayCache, of: Traced, planned: _Planned) -> d
     return predict_traced(begun.pace, work) | begun.later
 
 
-def _memory(options: argparse.Namespace, begun: _Begun, cache: RayCache, of: Traced, lights: int) -> Decision:
+def _memory(
+    options: argparse.Namespace, begun: _Begun, cache: RayCache, of: TracedScene, lights: int
+) -> Decision:
     """What the run will need at most: while lights are solved for, or while the texture is made."""
     count, photos = DIRECTIONS[options.preset], len(of.cameras)
     held = {

@@ -15,8 +15,8 @@ from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.raycast import Raycaster
 from dante_w.texture.photo_average import PhotoAverage
 from dante_w.traced.albedo_texture import albedo_texture
-from dante_w.traced.light_clusters import GROUPS
-from dante_w.traced.light_transport import Transfer, sphere, trace_transfer
+from dante_w.traced.light_clusters import CLUSTERS
+from dante_w.traced.light_transport import LightTransport, sphere, trace_light_transport
 from dante_w.traced.model_selection import ONE_IN
 from dante_w.traced.shading_points import PHOTOS, Observations, ShadingPoints, gather
 from dante_w.traced.solver.solve_lights import (
@@ -25,12 +25,12 @@ from dante_w.traced.solver.solve_lights import (
     FIRST_STEPS,
     LAST_STEPS,
     POINTS,
-    REGROUP,
-    Lights,
+    REASSIGN,
     evidence,
     explain,
-    observed_sheen,
+    observed_specular,
 )
+from dante_w.traced.state import Lighting
 from dante_w.traced.sun import STEPS as SUN_STEPS
 
 #: Points traced, observations explained, samples given an albedo, and texels a side filled at most; and of samples and
@@ -113,7 +113,7 @@ def measure_traced(
         """Seconds of the sheen and of the rest, as usual among a few."""
         of, seconds = evidence(points, rows, cameras), []
         for _ in range(TIMED):
-            gloss, shining = timed(lambda: observed_sheen(of, transfer, lights))
+            gloss, shining = timed(lambda: observed_specular(of, transfer, lights))
             seconds.append((shining, timed(partial(explain, lights, irradiance, gloss, of))[1]))
         usual, rest = np.median(seconds, axis=0)
         return float(usual), float(rest)
@@ -150,7 +150,7 @@ def measure_traced(
         points=len(points),
         observations=min(shown * photos, PHOTOS * len(points)),
         directions=directions,
-        first_lights=min(GROUPS, photos),
+        first_lights=min(CLUSTERS, photos),
         lights=min(LIGHTS, photos),
         texels=texels,
         suns=suns,
@@ -181,13 +181,13 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
 
     def cold(first: int, lights: int, share: float) -> float:
         """All first steps; those after which photos change their light have no equations."""
-        early, grouped = min(REGROUP), len(REGROUP) if first > 1 else 0
+        early, grouped = min(REASSIGN), len(REASSIGN) if first > 1 else 0
         equations = early * step(first, few) + (FIRST_STEPS - early - grouped) * step(lights, few)
         return refined(FIRST_STEPS, few, share) + equations + grouped * regrouped(first, share)
 
     def again(lights: int, share: float) -> float:
         """The last of the first steps, from another fit."""
-        grouped = sum(done >= FIRST_STEPS - AGAIN for done in REGROUP) if lights > 1 else 0
+        grouped = sum(done >= FIRST_STEPS - AGAIN for done in REASSIGN) if lights > 1 else 0
         equations = (AGAIN - grouped) * step(lights, few) + grouped * regrouped(lights, share)
         return refined(AGAIN, few, share) + equations
 
@@ -212,7 +212,7 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
 
 def _trace(
     points: ShadingPoints, cache: RayCache, caster: Raycaster, directions: int
-) -> tuple[Transfer, float]:
+) -> tuple[LightTransport, float]:
     """A transfer with which the points can be computed, though only a few were traced, and the seconds that one takes."""
     chosen = np.random.default_rng(0).permutation(len(points))[:TRACED]
     few = replace(
@@ -222,23 +222,23 @@ def _trace(
         normal=points.normal[chosen],
     )
     uvs = cache.surface.uvs.numpy()
-    trace_transfer(few, caster, uvs, 1, lambda _: None)  # loads kernels
-    _, seconds = timed(lambda: trace_transfer(few, caster, uvs, directions, lambda _: None))
+    trace_light_transport(few, caster, uvs, 1, lambda _: None)  # loads kernels
+    _, seconds = timed(lambda: trace_light_transport(few, caster, uvs, directions, lambda _: None))
     count = len(points)
     open_sky = np.ones((count, directions), np.float32)
     none = np.zeros(0, np.int32)
     first, lost = np.zeros(count + 1, np.int64), np.zeros(count, np.float32)
-    transfer = Transfer(
+    transfer = LightTransport(
         sphere(directions).astype(np.float32), open_sky, open_sky, first, none, none.astype(np.float32), lost
     )
     return transfer, seconds / len(chosen)
 
 
-def _grey_lights(points: ShadingPoints, cameras: np.ndarray, transfer: Transfer) -> Lights:
+def _grey_lights(points: ShadingPoints, cameras: np.ndarray, transfer: LightTransport) -> Lighting:
     """Grey lights, as many as photos will have."""
     photos, count = len(cameras), len(points)
     lights = min(LIGHTS, photos)
-    return Lights(
+    return Lighting(
         np.ones((lights, transfer.parts, 3), np.float32),
         np.arange(photos) % lights,
         np.zeros(photos),

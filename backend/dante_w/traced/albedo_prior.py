@@ -14,7 +14,8 @@ from dante_w.core.color import linear_from_srgb_array
 from dante_w.rays.ray_cache import RayCache
 from dante_w.traced.pixel_weights import medians
 from dante_w.traced.shading_points import ShadingPoints, located
-from dante_w.traced.solver.solve_lights import KnownAlbedo, sums
+from dante_w.traced.solver.solve_lights import sums
+from dante_w.traced.state import AlbedoPrior
 
 #: What the priors of a point tell, in photos that see it (see `KnownAlbedo`), and the views from which it tells as much.
 #: Chosen by albedo, with stand-in priors (docs/accuracy.md).
@@ -28,7 +29,7 @@ ROUNDS = 4
 LEAST = 1e-6
 
 
-def known_albedo(cache: RayCache, points: ShadingPoints, weight: float = 1.0) -> KnownAlbedo | None:
+def fuse_priors(cache: RayCache, points: ShadingPoints, weight: float = 1.0) -> AlbedoPrior | None:
     """The priors' log albedo of each point, or None where the cache has no prior; `weight` multiplies their trust."""
     if cache.prior is None:
         return None
@@ -52,7 +53,7 @@ def known_albedo(cache: RayCache, points: ShadingPoints, weight: float = 1.0) ->
     linear = sums(sure[:, None] * np.exp(log_prior - gain[photo]), point, len(points))
     mean = np.log(np.maximum(linear / np.maximum(views, LEAST)[:, None], DARKEST))
     trust = weight * TRUST * np.minimum(views, ENOUGH_VIEWS) / ENOUGH_VIEWS
-    return KnownAlbedo(mean, trust.astype(np.float32))
+    return AlbedoPrior(mean, trust.astype(np.float32))
 
 
 def _view(cache: RayCache, points: ShadingPoints, photo: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

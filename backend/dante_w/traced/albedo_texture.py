@@ -19,10 +19,11 @@ from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.raycast import Raycaster
 from dante_w.texture.photo_average import PhotoAverage
 from dante_w.traced import pixel_weights as robust
-from dante_w.traced.light_transport import Transfer, sunlit
+from dante_w.traced.light_transport import LightTransport, sunlit
 from dante_w.traced.shading_points import Observations, ShadingPoints, facing, located, view
-from dante_w.traced.solver.solve_lights import ABSOLUTE, Lights
-from dante_w.traced.specular import sheen
+from dante_w.traced.solver.solve_lights import ABSOLUTE
+from dante_w.traced.specular import specular_radiance
+from dante_w.traced.state import Lighting
 
 #: Albedo is physically below 1; noise in the dark is not.
 HIGHEST = 2.0
@@ -37,8 +38,8 @@ def albedo_texture(
     cache: RayCache,
     footprints: np.ndarray,
     points: ShadingPoints,
-    transfer: Transfer,
-    lights: Lights,
+    transfer: LightTransport,
+    lights: Lighting,
     cameras: np.ndarray,
     size: int,
     progress: Callable[[float], None],
@@ -63,9 +64,9 @@ def albedo_texture(
     for photo in range(photos):
         part = slice(cache.starts[photo], cache.starts[photo + 1])
         face, uv, place = located(cache, part)
-        point, light = points.at(uv), lights.light[photo]
+        point, light = points.at(uv), lights.cluster[photo]
         own, row = view(cache, points, photo, point, weights)
-        gloss = _sheen(own, points, transfer, lights, cameras, glossy)
+        gloss = _specular_radiance(own, points, transfer, lights, cameras, glossy)
         normal = facing(cache.surface, face, np.asarray(cache.bary[part]), place, cameras[photo])
         irradiance = irradiance_of(point, place, normal, transfer, lights.radiance[light], caster)
         irradiance += lights.bounce[point, light]
@@ -93,25 +94,25 @@ def albedo_texture(
 def _opinions(
     seen: Observations,
     points: ShadingPoints,
-    transfer: Transfer,
-    lights: Lights,
+    transfer: LightTransport,
+    lights: Lighting,
     lit: np.ndarray,
     cameras: np.ndarray,
     glossy: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """What the observations say of log albedo (M, 3), how much each counts (M,), its point and its light (M,)."""
     log_albedo, noise = _log_albedo(
-        seen, lights, lit, _sheen(seen, points, transfer, lights, cameras, glossy)
+        seen, lights, lit, _specular_radiance(seen, points, transfer, lights, cameras, glossy)
     )
     weight = np.where(seen.clipped, 0.02, 1.0) / (1.0 + np.square(noise / robust.AGREED))
-    return log_albedo, weight, seen.point, lights.light[seen.photo]
+    return log_albedo, weight, seen.point, lights.cluster[seen.photo]
 
 
-def _sheen(
+def _specular_radiance(
     seen: Observations,
     points: ShadingPoints,
-    transfer: Transfer,
-    lights: Lights,
+    transfer: LightTransport,
+    lights: Lighting,
     cameras: np.ndarray,
     glossy: bool,
 ) -> np.ndarray:
@@ -119,8 +120,8 @@ def _sheen(
     if not glossy:
         return np.zeros_like(seen.colour)
     towards = points.towards(seen.point, cameras[seen.photo])
-    light = lights.light[seen.photo]
-    return sheen(
+    light = lights.cluster[seen.photo]
+    return specular_radiance(
         seen.point,
         light,
         towards,
@@ -133,20 +134,20 @@ def _sheen(
 
 
 def _log_albedo(
-    seen: Observations, lights: Lights, lit: np.ndarray, gloss: np.ndarray
+    seen: Observations, lights: Lighting, lit: np.ndarray, gloss: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(M, 3) log albedo by each observation under irradiance `lit` (C, J, 3), and (M,) its standard deviation by noise."""
     shown = seen.colour / np.exp(lights.log_exposure[seen.photo, None]).astype(np.float32)
     diffuse = np.maximum(np.maximum(shown - gloss, LEAST_DIFFUSE * shown), DARKEST)
     noise = ABSOLUTE / np.maximum(seen.colour.mean(axis=1), DARKEST)
-    return np.log(diffuse / lit[seen.point, lights.light[seen.photo]]), noise
+    return np.log(diffuse / lit[seen.point, lights.cluster[seen.photo]]), noise
 
 
 def irradiance_of(
     point: np.ndarray,
     place: np.ndarray,
     normals: np.ndarray,
-    transfer: Transfer,
+    transfer: LightTransport,
     radiance: np.ndarray,
     caster: Raycaster | None,
 ) -> np.ndarray:

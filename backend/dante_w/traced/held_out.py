@@ -7,25 +7,25 @@ from dataclasses import replace
 import numpy as np
 
 from dante_w.core.color import srgb_from_linear_array
-from dante_w.traced.light_transport import Transfer
+from dante_w.traced.light_transport import LightTransport
 from dante_w.traced.shading_points import Observations, ShadingPoints
-from dante_w.traced.solver.solve_lights import Lights, Parts
-from dante_w.traced.solver.variable_projection import FAINTEST, OUTLIER
-from dante_w.traced.specular import sheen
+from dante_w.traced.solver.variable_projection import OUTLIER
+from dante_w.traced.specular import specular_radiance
+from dante_w.traced.state import FAINTEST, Components, Lighting
 
 #: Rows of cells that take turns in fitting and scoring.
 BAND = 8
 
 
 def place(
-    lights: Lights,
+    lights: Lighting,
     points: ShadingPoints,
-    transfer: Transfer,
+    transfer: LightTransport,
     seen: Observations,
     cameras: np.ndarray,
     photos: np.ndarray,
-    parts: Parts,
-) -> tuple[Lights, float | None]:
+    parts: Components,
+) -> tuple[Lighting, float | None]:
     """Give each of `photos` the light and exposure that fit it best; returns the lights with these, and the PSNR.
 
     A photo's own light and exposure are fitted on one half of what it shows, in bands of the texture; PSNR in dB of
@@ -35,7 +35,7 @@ def place(
     Args:
         seen: what all photos show.
     """
-    light, exposure = lights.light.copy(), lights.log_exposure.copy()
+    light, exposure = lights.cluster.copy(), lights.log_exposure.copy()
     cell = np.flatnonzero(points.point_of_cell >= 0)
     level = seen.levels(len(light))
     band = (cell // points.side // BAND) % 2 == 0
@@ -64,22 +64,22 @@ def place(
         if error.size:
             scores.append(-10.0 * np.log10(max(np.square(error, dtype=np.float64).mean(), 1e-12)))
     score = float(np.mean(scores)) if scores else None
-    return replace(lights, light=light, log_exposure=exposure), score
+    return replace(lights, cluster=light, log_exposure=exposure), score
 
 
 def _gloss(
-    lights: Lights,
+    lights: Lighting,
     points: ShadingPoints,
-    transfer: Transfer,
+    transfer: LightTransport,
     rows: Observations,
     camera: np.ndarray,
-    parts: Parts,
+    parts: Components,
 ) -> np.ndarray:
     """(N, J, 3) sheen of one photo's rows under each light, at an exposure of 1."""
     count, number = len(rows.point), len(lights.radiance)
-    if not parts.gloss:
+    if not parts.specular:
         return np.zeros((count, number, 3), np.float32)
-    gloss = sheen(
+    gloss = specular_radiance(
         np.tile(rows.point, number),
         np.repeat(np.arange(number), count),
         np.tile(points.towards(rows.point, camera), (number, 1)),

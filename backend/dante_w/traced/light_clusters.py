@@ -15,7 +15,7 @@ from dante_w.core.jit import njit_parallel
 from dante_w.traced.shading_points import Observations
 
 #: Groups at the start, if there are as many photos.
-GROUPS = 10
+CLUSTERS = 10
 #: Photos that are compared with all others; of more, each joins what it is like.
 COMPARED = 150
 #: Points that two photos must both see for their ratio to say something; with fewer they count as `UNRELATED`.
@@ -30,7 +30,7 @@ BETTER = 0.97
 OUTLIER, SMALLEST = 0.4, 1e-6
 
 
-def first_groups(seen: Observations, points: int, photos: int) -> np.ndarray:
+def first_clusters(seen: Observations, points: int, photos: int) -> np.ndarray:
     """(K,) light of each photo, from ratios of colours alone.
 
     Of very many photos, `COMPARED` spread evenly among them form the groups; each of the others joins the group whose members
@@ -57,7 +57,7 @@ def first_groups(seen: Observations, points: int, photos: int) -> np.ndarray:
     apart = np.where(overlaps < 0.3 * usual, np.maximum(spread, UNRELATED), spread)
     known = overlaps >= COMMON
     among, told = np.tril(apart[chosen], -1), np.tril(known[chosen], -1)
-    labels = _average_linkage(among + among.T, GROUPS, told | told.T)
+    labels = _average_linkage(among + among.T, CLUSTERS, told | told.T)
     if count == photos:
         return labels
     members = (labels[:, None] == np.arange(labels.max() + 1)).astype(np.float64)
@@ -103,7 +103,7 @@ def _compare(
                 spread[k, i] = np.median(np.abs(ratio[:count] - np.median(ratio[:count])))
 
 
-def regroup(
+def reassign_photos(
     target: np.ndarray,
     log_irradiance: np.ndarray,
     log_albedo: np.ndarray,

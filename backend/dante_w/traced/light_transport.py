@@ -35,7 +35,7 @@ RAYS = 1 << 17
 
 
 @dataclass(frozen=True)
-class Transfer:
+class LightTransport:
     """directions (D, 3); visible (C, D) float32: the share of a direction's rays that meet nothing of the mesh; direct
     (C, D) float32, the rows T. The last `suns` directions are no parts of the sphere but suns, see `with_suns`.
 
@@ -72,13 +72,13 @@ def sphere(count: int) -> np.ndarray:
     return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
 
 
-def trace_transfer(
+def trace_light_transport(
     points: ShadingPoints,
     caster: Raycaster,
     uvs: np.ndarray,
     count: int,
     progress: Callable[[float], None],
-) -> Transfer:
+) -> LightTransport:
     """Trace `count` directions from every point.
 
     Args:
@@ -106,7 +106,7 @@ def trace_transfer(
     point, source, weight = (np.concatenate(column) for column in zip(*bounces, strict=True))
     first = np.searchsorted(point, np.arange(many + 1)).astype(np.int64)
     visible /= np.maximum(np.bincount(part_of, minlength=count), 1).astype(np.float32)
-    return Transfer(directions, visible, direct, first, source, weight, lost)
+    return LightTransport(directions, visible, direct, first, source, weight, lost)
 
 
 def _trace(
@@ -180,7 +180,7 @@ def _add_up(row, ray, part_of, facing, hit, share, visible, direct):  # type: ig
             direct[row[i], part] += share * max(facing[i], np.float32(0.0))
 
 
-def coarser(transfer: Transfer, count: int) -> tuple[Transfer, np.ndarray]:
+def coarser(transfer: LightTransport, count: int) -> tuple[LightTransport, np.ndarray]:
     """The same transfer for `count` directions, and which of these (D,) each of the old ones belongs to."""
     directions = sphere(count).astype(np.float32)
     part_of = (transfer.directions @ directions.T).argmax(axis=1)
@@ -191,7 +191,9 @@ def coarser(transfer: Transfer, count: int) -> tuple[Transfer, np.ndarray]:
     return coarse, part_of
 
 
-def with_suns(transfer: Transfer, points: ShadingPoints, caster: Raycaster, suns: np.ndarray) -> Transfer:
+def with_suns(
+    transfer: LightTransport, points: ShadingPoints, caster: Raycaster, suns: np.ndarray
+) -> LightTransport:
     """The same transfer with more directions, in the unit of the others: suns (S, 3), as seen from the points."""
     if not len(suns):
         return transfer
@@ -219,7 +221,7 @@ def sunlit(position: np.ndarray, normal: np.ndarray, caster: Raycaster, sun: np.
     return seen
 
 
-def bounced(transfer: Transfer, leaving: np.ndarray) -> np.ndarray:
+def bounced(transfer: LightTransport, leaving: np.ndarray) -> np.ndarray:
     """(C, N) float32 light that arrives from the mesh when `leaving` (C, N) leaves it."""
     arriving = np.zeros_like(leaving)
     _bounced(transfer.first, transfer.source, transfer.weight, leaving, arriving)

@@ -22,15 +22,16 @@ import numpy as np
 from dante_w.contract.protocol import YOU_CHOSE, Decision
 from dante_w.scene.held_out import choose_held_out
 from dante_w.traced.held_out import place
-from dante_w.traced.light_transport import Transfer, coarser
+from dante_w.traced.light_transport import LightTransport, coarser
 from dante_w.traced.shading_points import Observations, ShadingPoints
-from dante_w.traced.solver.solve_lights import COARSE, Lights, Parts, solve_lights
+from dante_w.traced.solver.solve_lights import COARSE, solve_lights
+from dante_w.traced.state import Components, Lighting
 from dante_w.traced.sun import PEAK, SPHERE, peaks
 
 #: A part stays off if held-out photos gain no more than this by it, in dB; tried in this order, exposures with what is
 #: modelled by then. Under one light, exposures that are all alike still gain half a dB, and are worth 0.04 dB of albedo; what
 #: gloss cannot tell moves photos by hundredths there.
-WORTH = {"groups": 1.0, "gloss": 0.3, "exposures": 1.0}
+WORTH = {"clusters": 1.0, "specular": 0.3, "exposures": 1.0}
 #: What gloss is to gain instead under several lights, where all surfaces are taken to reflect at a grazing angle: photos
 #: wanted it off wrongly by up to 1.9 dB, and rightly by 16.6.
 WORTH_OF_GLOSS = -4.0
@@ -48,17 +49,17 @@ class Fixed:
     reason: str = YOU_CHOSE
 
 
-def choose_parts(
+def select_components(
     cameras: np.ndarray,
     points: ShadingPoints,
     seen: Observations,
-    transfer: Transfer,
+    transfer: LightTransport,
     exposures: np.ndarray | None,
     groups: np.ndarray,
     fixed: Mapping[str, Fixed],
     seed: int,
     progress: Callable[[int, int], None],
-) -> tuple[Parts, list[Decision], Lights | None]:
+) -> tuple[Components, list[Decision], Lighting | None]:
     """Decide what to model; returns also the lights that were found with it, if it was tried, of `COARSE` directions.
 
     Args:
@@ -72,13 +73,13 @@ def choose_parts(
     held_out = choose_held_out(photos)
     shown = fewer.of(~np.isin(fewer.photo, held_out))
     bounced = float(transfer.weight.sum() + transfer.lost.sum()) / len(points)
-    parts = replace(Parts(bounce=bounced >= BOUNCED), **{name: part.on for name, part in fixed.items()})
+    parts = replace(Components(bounce=bounced >= BOUNCED), **{name: part.on for name, part in fixed.items()})
     trials = [name for name in WORTH if name not in fixed and len(held_out)]
 
-    scores: dict[Parts, float] = {}
-    fits: dict[Parts, Lights] = {}
+    scores: dict[Components, float] = {}
+    fits: dict[Components, Lighting] = {}
 
-    def score(trial: Parts, begun: Parts | None = None) -> float:
+    def score(trial: Components, begun: Components | None = None) -> float:
         """By a fit from the start, or from one that has `begun`."""
         if trial not in scores:
             progress(len(scores) + 1, 2 * len(trials) + 1)
@@ -88,18 +89,20 @@ def choose_parts(
             scores[trial] = -np.inf if found is None else found
         return scores[trial]
 
-    def best(trial: Parts) -> float:
+    def best(trial: Components) -> float:
         """With gloss or without, where that is open."""
-        return max(score(trial), score(replace(trial, gloss=False), trial) if "gloss" in trials else -np.inf)
+        return max(
+            score(trial), score(replace(trial, specular=False), trial) if "specular" in trials else -np.inf
+        )
 
     gains: dict[str, float] = {}
     for name in trials:
         without = replace(parts, **{name: False})
-        reached = best(parts) if name == "groups" else score(parts)
+        reached = best(parts) if name == "clusters" else score(parts)
         if not np.isfinite(reached):
             break
-        gains[name] = reached - (best(without) if name == "groups" else score(without, parts))
-        worth = WORTH_OF_GLOSS if name == "gloss" and parts.groups else WORTH[name]
+        gains[name] = reached - (best(without) if name == "clusters" else score(without, parts))
+        worth = WORTH_OF_GLOSS if name == "specular" and parts.clusters else WORTH[name]
         if gains[name] <= worth:
             parts = without
     progress(1, 1)
@@ -108,7 +111,7 @@ def choose_parts(
     if brightest is not None and "sun" not in fixed:
         parts = replace(parts, sun=brightest >= PEAK * COARSE / SPHERE)
     decisions = [
-        _decision(name, getattr(parts, name), fixed, gains, bounced, brightest) for name in vars(Parts())
+        _decision(name, getattr(parts, name), fixed, gains, bounced, brightest) for name in vars(Components())
     ]
     return parts, decisions, fit
 
@@ -118,24 +121,24 @@ def _ignore(step: int, steps: int) -> None:
 
 
 _COSTS = {
-    "groups": "seconds grow with the number of lights, squared",
+    "clusters": "seconds grow with the number of lights, squared",
     "exposures": "one number a photo",
     "bounce": "a fifth of the time for lights, 100 MB for ten million rays",
-    "gloss": "half of the time for lights",
+    "specular": "half of the time for lights",
     "sun": "seconds for each light that has a peak; rays of their own for its photos' pixels",
 }
 _ON = {
-    "groups": "several lights",
+    "clusters": "several lights",
     "exposures": "one for each photo",
     "bounce": "on",
-    "gloss": "on",
+    "specular": "on",
     "sun": "looked for",
 }
 _OFF = {
-    "groups": "one light",
+    "clusters": "one light",
     "exposures": "one for all photos",
     "bounce": "off",
-    "gloss": "off",
+    "specular": "off",
     "sun": "none",
 }
 
@@ -150,7 +153,7 @@ def _decision(
 ) -> Decision:
     if name in fixed:
         reason = fixed[name].reason
-    elif name == "gloss" and on and gains.get(name, np.inf) <= WORTH[name]:
+    elif name == "specular" and on and gains.get(name, np.inf) <= WORTH[name]:
         reason = f"all surfaces reflect at a grazing angle, and held-out photos hardly tell: {gains[name]:+.1f} dB with it"
     elif name in gains:
         reason = f"held-out photos are re-rendered {gains[name]:+.1f} dB with it"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dante_w.contract.scene_folder import Frame
+from dante_w.contract.vocabulary import COMPONENTS
 from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.run.checkpoints import Checkpoints
@@ -15,36 +16,37 @@ from dante_w.run.progress import Progress
 from dante_w.scene.exposure import log_exposures
 from dante_w.scene.held_out import choose_held_out
 from dante_w.scene.mesh import Mesh
-from dante_w.traced.albedo_prior import known_albedo
+from dante_w.traced.albedo_prior import fuse_priors
 from dante_w.traced.albedo_texture import albedo_texture
 from dante_w.traced.held_out import place
-from dante_w.traced.light_clusters import first_groups
-from dante_w.traced.light_transport import Transfer, trace_transfer, with_suns
+from dante_w.traced.light_clusters import first_clusters
+from dante_w.traced.light_transport import LightTransport, trace_light_transport, with_suns
 from dante_w.traced.shading_points import Observations, ShadingPoints, gather, thinned
-from dante_w.traced.solver.solve_lights import KnownAlbedo, Lights, Parts, evidence, solve_lights
-from dante_w.traced.sun import with_own_suns
+from dante_w.traced.solver.solve_lights import evidence, solve_lights
+from dante_w.traced.state import AlbedoPrior, Components, Lighting
+from dante_w.traced.sun import find_and_add_suns
 
 
 @dataclass(frozen=True)
-class Traced:
+class TracedScene:
     """What the photos show of the mesh's shading points, and how light reaches these; `groups` (K,) is the first guess of
     which photos share a light."""
 
     cameras: np.ndarray
     points: ShadingPoints
     seen: Observations
-    transfer: Transfer
-    prior: KnownAlbedo | None
+    transfer: LightTransport
+    prior: AlbedoPrior | None
     exposures: np.ndarray | None
     groups: np.ndarray
 
 
 @dataclass(frozen=True)
-class Placed:
+class SolvedLighting:
     """The lights of all photos, directions of `suns` (S, 3), and the held-out photos' PSNR in dB under them, if it could be
     taken."""
 
-    lights: Lights
+    lights: Lighting
     suns: np.ndarray
     score: float | None
 
@@ -57,36 +59,36 @@ def examine(
     prior_weight: float,
     progress: Progress,
     finer: int = 1,
-) -> Traced:
+) -> TracedScene:
     """Average the photos over shading points, `finer` times as many along either side of the texture, and trace light between
     them."""
     frame3d = Frame3D.around(mesh)
     cameras = frame3d.normalise(np.stack([frame.camera_to_world[:3, 3] for frame in frames]))
     progress.update("transfer", 0.0, 1.0)
     points, seen = gather(cache, cameras, finer=finer)
-    transfer = trace_transfer(
+    transfer = trace_light_transport(
         points,
         Raycaster(mesh, frame3d),
         cache.surface.uvs.numpy(),
         directions,
         lambda done: progress.update("transfer", done, 1.0),
     )
-    prior = known_albedo(cache, points, prior_weight) if prior_weight > 0.0 else None
+    prior = fuse_priors(cache, points, prior_weight) if prior_weight > 0.0 else None
     exposures = log_exposures([frame.image for frame in frames])
-    groups = first_groups(seen, len(points), len(frames))
+    groups = first_clusters(seen, len(points), len(frames))
     seen = seen.of(
         thinned(seen.point, seen.photo)
     )  # from here on, photos need not be compared with each other
-    return Traced(cameras, points, seen, transfer, prior, exposures, groups)
+    return TracedScene(cameras, points, seen, transfer, prior, exposures, groups)
 
 
 def recover_albedo(
-    of: Traced,
+    of: TracedScene,
     cache: RayCache,
     mesh: Mesh,
     size: int,
-    parts: Parts,
-    begun: Lights | None,
+    parts: Components,
+    begun: Lighting | None,
     seed: int,
     progress: Progress,
     kept: Checkpoints | None = None,
@@ -103,7 +105,7 @@ def recover_albedo(
 
     caster = Raycaster(mesh, Frame3D.around(mesh)) if parts.sun else None
 
-    def solve() -> Placed:
+    def solve() -> SolvedLighting:
         shown = of.seen.of(~np.isin(of.seen.photo, held_out))
         lights = solve_lights(
             of.points,
@@ -120,7 +122,7 @@ def recover_albedo(
         )
         transfer = of.transfer
         if caster:
-            transfer, lights = with_own_suns(
+            transfer, lights = find_and_add_suns(
                 evidence(of.points, shown, of.cameras, parts, of.prior, of.exposures),
                 transfer,
                 lights,
@@ -128,9 +130,9 @@ def recover_albedo(
                 seed,
             )
         found, score = place(lights, of.points, transfer, of.seen, of.cameras, held_out, parts)
-        return Placed(found, transfer.directions[transfer.parts :], score)
+        return SolvedLighting(found, transfer.directions[transfer.parts :], score)
 
-    placed = kept.done("lights", Placed, solve) if kept else solve()
+    placed = kept.done("lights", SolvedLighting, solve) if kept else solve()
     lights = placed.lights
     transfer = with_suns(of.transfer, of.points, caster, placed.suns) if caster else of.transfer
     texture = albedo_texture(
@@ -144,11 +146,11 @@ def recover_albedo(
         lambda done: progress.update("albedo", done, 1.0),
         of.seen,
         caster,
-        parts.gloss,
+        parts.specular,
     )
     return texture, {
-        "parts": asdict(parts),
-        "lights": [int(light) for light in lights.light],
+        "parts": {each.key: getattr(parts, each.name) for each in COMPONENTS},
+        "lights": [int(light) for light in lights.cluster],
         "suns": _suns(transfer, lights),
         "shading_points": len(of.points),
         "held_out_psnr": placed.score,
@@ -156,7 +158,7 @@ def recover_albedo(
     }
 
 
-def _suns(transfer: Transfer, lights: Lights) -> list[dict[str, Any]]:
+def _suns(transfer: LightTransport, lights: Lighting) -> list[dict[str, Any]]:
     """For the report: which light each sun belongs to, and where it stands in the scene's axes."""
     radiance = lights.radiance[:, transfer.parts :].mean(axis=2)
     return [

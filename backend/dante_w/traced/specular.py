@@ -15,7 +15,7 @@ from dante_w.core.jit import njit_parallel_fast
 ALPHA, REFLECTANCE = 0.49, 0.024
 
 
-def sheen(
+def specular_radiance(
     point: np.ndarray,
     light: np.ndarray,
     towards: np.ndarray,
@@ -33,7 +33,7 @@ def sheen(
         directions: (D, 3). visible: (C, D). radiance: (J, D, 3) of the lights. suns: see `Transfer`.
     """
     out = np.empty((len(point), 3), np.float32)
-    _sheen(
+    _specular_radiance(
         point,
         light,
         np.asarray(towards, np.float32),
@@ -50,7 +50,7 @@ def sheen(
 
 
 @njit_parallel_fast
-def _sheen(
+def _specular_radiance(
     point: np.ndarray,
     light: np.ndarray,
     towards: np.ndarray,

@@ -14,21 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dante_w.rays.raycast import Raycaster
-from dante_w.traced.light_transport import Transfer, sunlit, with_suns
+from dante_w.traced.light_transport import LightTransport, sunlit, with_suns
 from dante_w.traced.shading_points import Observations, ShadingPoints
 from dante_w.traced.solver.smoothness_prior import agreement
 from dante_w.traced.solver.solve_lights import (
     FIRST_STEPS,
     LAST_STEPS,
     Evidence,
-    Lights,
-    Told,
+    Projection,
     explain,
-    observed_sheen,
+    observed_specular,
     refine,
     sums,
 )
-from dante_w.traced.solver.variable_projection import FAINTEST
+from dante_w.traced.state import FAINTEST, Lighting
 
 #: Of `SPHERE` parts, the brightest one is to be this much brighter than the mean.
 PEAK, SPHERE = 16.0, 256
@@ -61,20 +60,20 @@ class Sun:
     dimmed: np.ndarray
 
 
-def with_own_suns(
-    of: Evidence, transfer: Transfer, lights: Lights, caster: Raycaster, seed: int
-) -> tuple[Transfer, Lights]:
+def find_and_add_suns(
+    of: Evidence, transfer: LightTransport, lights: Lighting, caster: Raycaster, seed: int
+) -> tuple[LightTransport, Lighting]:
     """The same transfer and lights, with suns in them and refined where lights have suns."""
-    gloss = observed_sheen(of, transfer, lights) if of.parts.gloss else np.zeros_like(of.weight)
+    gloss = observed_specular(of, transfer, lights) if of.parts.specular else np.zeros_like(of.weight)
     told = explain(lights, lights.irradiance(transfer), gloss, of)[1]
     suns = find_suns(of.points, transfer, of.seen, lights, told, caster)
     if not suns:
         return transfer, lights
-    transfer, lights = shine(suns, of.points, transfer, lights, caster)
+    transfer, lights = add_suns(suns, of.points, transfer, lights, caster)
     return transfer, refine(lights, transfer, of, seed, STEPS, lambda _: None)
 
 
-def peaks(lights: Lights) -> np.ndarray:
+def peaks(lights: Lighting) -> np.ndarray:
     """(J,) how much brighter than the mean the brightest part of each light's sphere is."""
     brightness = lights.radiance.mean(axis=2)
     return np.asarray(brightness.max(axis=1) / brightness.mean(axis=1))
@@ -82,10 +81,10 @@ def peaks(lights: Lights) -> np.ndarray:
 
 def find_suns(
     points: ShadingPoints,
-    transfer: Transfer,
+    transfer: LightTransport,
     seen: Observations,
-    lights: Lights,
-    told: Told,
+    lights: Lighting,
+    told: Projection,
     caster: Raycaster,
 ) -> list[Sun]:
     """The suns of the lights, at most one each."""
@@ -98,9 +97,9 @@ def find_suns(
     return found
 
 
-def shine(
-    suns: list[Sun], points: ShadingPoints, transfer: Transfer, lights: Lights, caster: Raycaster
-) -> tuple[Transfer, Lights]:
+def add_suns(
+    suns: list[Sun], points: ShadingPoints, transfer: LightTransport, lights: Lighting, caster: Raycaster
+) -> tuple[LightTransport, Lighting]:
     """The same transfer and lights with the suns in them."""
     wider = with_suns(transfer, points, caster, np.stack([sun.direction for sun in suns]))
     shape = (len(lights.radiance), len(suns), 3)
@@ -134,11 +133,16 @@ class _Problem:
 
 
 def _problem(
-    points: ShadingPoints, transfer: Transfer, seen: Observations, lights: Lights, told: Told, light: int
+    points: ShadingPoints,
+    transfer: LightTransport,
+    seen: Observations,
+    lights: Lighting,
+    told: Projection,
+    light: int,
 ) -> _Problem:
     count = len(points)
     known = lights.known[:, None]
-    mine = lights.light[seen.photo] == light
+    mine = lights.cluster[seen.photo] == light
     point, trust = seen.point[mine], told.trust[mine]
     pulled = trust * told.residual[mine]
     irradiance = lights.irradiance(transfer)[:, light]
@@ -161,7 +165,7 @@ def _problem(
     )
 
 
-def _search(of: _Problem, points: ShadingPoints, transfer: Transfer, caster: Raycaster) -> Sun | None:
+def _search(of: _Problem, points: ShadingPoints, transfer: LightTransport, caster: Raycaster) -> Sun | None:
     """The best sun near the light's peak, if it pays."""
     best, centre, change = -np.inf, of.direction.astype(np.float64), np.zeros((3, 2))
     for number, angle in enumerate(RINGS):

@@ -22,7 +22,9 @@ NEAR, FAR, FAR_WEIGHT = 6, 3, 0.15
 BRIGHTNESS, COLOUR = 0.2, 0.05
 
 
-def laplacian(position: np.ndarray, log_albedo: np.ndarray, generator: np.random.Generator) -> torch.Tensor:
+def smoothness_laplacian(
+    position: np.ndarray, log_albedo: np.ndarray, generator: np.random.Generator
+) -> torch.Tensor:
     """(C, C) sparse float32: x @ it @ x is the weighted sum of squared differences of x over pairs.
 
     Args:

@@ -19,9 +19,8 @@ import numpy as np
 import torch
 
 from dante_w.contract.errors import BadInput
-from dante_w.run.setbacks import Setback
-from dante_w.traced.light_clusters import regroup
-from dante_w.traced.light_transport import Transfer, bounced, coarser
+from dante_w.traced.light_clusters import reassign_photos
+from dante_w.traced.light_transport import LightTransport, bounced, coarser
 from dante_w.traced.shading_points import Observations, ShadingPoints
 from dante_w.traced.solver.normal_equations import (
     LEVEL,
@@ -31,10 +30,11 @@ from dante_w.traced.solver.normal_equations import (
     prior_precision,
     step,
 )
-from dante_w.traced.solver.smoothness_prior import laplacian
+from dante_w.traced.solver.smoothness_prior import smoothness_laplacian
 from dante_w.traced.solver.step_control import Course, look, noted, robust_cost
-from dante_w.traced.solver.variable_projection import FAINTEST, OUTLIER, by_point, project
-from dante_w.traced.specular import sheen
+from dante_w.traced.solver.variable_projection import OUTLIER, by_point, project_albedo
+from dante_w.traced.specular import specular_radiance
+from dante_w.traced.state import ALL_COMPONENTS, FAINTEST, AlbedoPrior, Components, Lighting
 
 #: Albedo of the brightest points, at this quantile of the largest channel: what it is taken for until the last steps,
 #: and the bounds of what sheen and bounced light then say it is.
@@ -56,53 +56,13 @@ FEWEST_PHOTOS = (
 COARSE, FIRST_STEPS, LAST_STEPS = 64, 9, 7
 #: Steps after which photos may change their light, and how well another is to explain them for a light to be given up (see
 #: `regroup`): early on all explain badly, and photos of two lights that have become one do not part again.
-REGROUP = {3: 1.1, 5: 1.15, 7: 1.25}
+REASSIGN = {3: 1.1, 5: 1.15, 7: 1.25}
 #: The step that sets the level, and how far it is believed: on seven rendered objects the true level goes with what it finds
 #: by a slope of 0.5.
 LEVEL_STEP, LEVEL_TRUST = 13, 0.55
 #: How many of the first steps are taken again from a fit of other parts or fewer observations; steps from a cold start before
 #: sheen is modelled.
 AGAIN, WITHOUT_GLOSS = 3, 2
-
-
-@dataclass(frozen=True)
-class Parts:
-    """What is modelled: photos' lights apart from each other, their exposures, light from the mesh itself, gloss, suns."""
-
-    groups: bool = True
-    exposures: bool = True
-    bounce: bool = True
-    gloss: bool = True
-    sun: bool = True
-
-
-@dataclass(frozen=True)
-class KnownAlbedo:
-    """What is known of the points' log albedo (C, 3) beforehand, each as much as `trust` (C,) photos tell."""
-
-    log_albedo: np.ndarray
-    trust: np.ndarray
-
-
-@dataclass(frozen=True)
-class Lights:
-    """radiance (J, D, 3) of the lights by direction; light (K,) of each photo; log_exposure (K,) g_k; bounce (C, J, 3)
-    irradiance from the mesh itself; albedo (C, 3) of the points; known (C,) where it is told by the photos rather than
-    filled in; top, the albedo of the brightest points where no prior tells it; setbacks on the way."""
-
-    radiance: np.ndarray
-    light: np.ndarray
-    log_exposure: np.ndarray
-    bounce: np.ndarray
-    albedo: np.ndarray
-    known: np.ndarray
-    top: float = TOP
-    setbacks: tuple[Setback, ...] = ()
-
-    def irradiance(self, transfer: Transfer) -> np.ndarray:
-        """(C, J, 3) at the points."""
-        direct = np.tensordot(transfer.direct, self.radiance, axes=(1, 1))
-        return np.maximum(direct + self.bounce, np.float32(FAINTEST))
 
 
 @dataclass(frozen=True)
@@ -116,9 +76,9 @@ class Evidence:
     log_colour: np.ndarray
     towards: np.ndarray
     weight: np.ndarray
-    prior: KnownAlbedo
+    prior: AlbedoPrior
     expected: ExposurePrior
-    parts: Parts
+    parts: Components
 
     @property
     def free(self) -> bool:
@@ -130,8 +90,8 @@ def evidence(
     points: ShadingPoints,
     seen: Observations,
     cameras: np.ndarray,
-    parts: Parts = Parts(),
-    prior: KnownAlbedo | None = None,
+    parts: Components = ALL_COMPONENTS,
+    prior: AlbedoPrior | None = None,
     known_exposure: np.ndarray | None = None,
 ) -> Evidence:
     """What lights are to explain.
@@ -142,7 +102,7 @@ def evidence(
         known_exposure: (K,) log exposures from the photos' files.
     """
     count, photos = len(points), len(cameras)
-    prior = prior or KnownAlbedo(np.zeros((count, 3), np.float32), np.zeros(count, np.float32))
+    prior = prior or AlbedoPrior(np.zeros((count, 3), np.float32), np.zeros(count, np.float32))
     if not parts.exposures:
         expected = ExposurePrior(seen.levels(photos), 1e-3)
     elif known_exposure is not None:
@@ -156,18 +116,18 @@ def evidence(
 
 def solve_lights(
     points: ShadingPoints,
-    transfer: Transfer,
+    transfer: LightTransport,
     seen: Observations,
     cameras: np.ndarray,
     light: np.ndarray,
     seed: int,
     progress: Callable[[int, int], None],
-    parts: Parts = Parts(),
-    prior: KnownAlbedo | None = None,
+    parts: Components = ALL_COMPONENTS,
+    prior: AlbedoPrior | None = None,
     known_exposure: np.ndarray | None = None,
-    begun: Lights | None = None,
+    begun: Lighting | None = None,
     fine: bool = True,
-) -> Lights:
+) -> Lighting:
     """Find the lights that explain the photos, but for suns. Arguments as of `evidence`, and
 
     Args:
@@ -191,7 +151,7 @@ def solve_lights(
     if begun:
         start, first = _exposed(begun, of), FIRST_STEPS - AGAIN
     else:
-        start, first = _even_sky(few, of, light if parts.groups else np.zeros_like(light)), 0
+        start, first = _even_sky(few, of, light if parts.clusters else np.zeros_like(light)), 0
     start = replace(start, albedo=np.zeros((count, 3), np.float32), known=known, setbacks=())
     steps = FIRST_STEPS + (LAST_STEPS if fine else 0)
 
@@ -205,7 +165,7 @@ def solve_lights(
     return refine(lights, transfer, of, seed, range(FIRST_STEPS, steps), told)
 
 
-def _even_sky(few: Transfer, of: Evidence, light: np.ndarray) -> Lights:
+def _even_sky(few: LightTransport, of: Evidence, light: np.ndarray) -> Lighting:
     """The same for every light: a little more from above; exposures by the photos' brightness."""
     count = len(of.points)
     sky = np.exp(0.3 * few.directions[:, 2])
@@ -214,16 +174,18 @@ def _even_sky(few: Transfer, of: Evidence, light: np.ndarray) -> Lights:
         _first_exposures(of.seen, of.weight, len(light)) if of.free else of.expected.mean.astype(np.float64)
     )
     bounce = np.zeros((count, len(radiance), 3), np.float32)
-    return Lights(radiance, light, exposure, bounce, np.zeros((count, 3), np.float32), np.zeros(count, bool))
+    return Lighting(
+        radiance, light, exposure, bounce, np.zeros((count, 3), np.float32), np.zeros(count, bool)
+    )
 
 
-def _exposed(lights: Lights, of: Evidence) -> Lights:
+def _exposed(lights: Lighting, of: Evidence) -> Lighting:
     """With exposures as expected where these are not modelled; what photos of one light lose by that on average, it takes up."""
     if of.parts.exposures:
         return lights
     count = len(lights.radiance)
-    photos = np.maximum(np.bincount(lights.light, minlength=count), 1)
-    lost = np.bincount(lights.light, lights.log_exposure - of.expected.mean, count) / photos
+    photos = np.maximum(np.bincount(lights.cluster, minlength=count), 1)
+    lost = np.bincount(lights.cluster, lights.log_exposure - of.expected.mean, count) / photos
     brighter = np.exp(lost).astype(np.float32)[:, None]
     return replace(
         lights,
@@ -234,13 +196,13 @@ def _exposed(lights: Lights, of: Evidence) -> Lights:
 
 
 def refine(
-    lights: Lights,
-    transfer: Transfer,
+    lights: Lighting,
+    transfer: LightTransport,
     of: Evidence,
     seed: int,
     steps: range,
     progress: Callable[[int], None],
-) -> Lights:
+) -> Lighting:
     """Take Gauss-Newton steps, and again those that went astray, then bring albedo up to date."""
     generator = np.random.default_rng(seed)
     precision = prior_precision(transfer.directions, transfer.suns, LEVEL if of.free else OPEN_LEVEL)
@@ -248,8 +210,8 @@ def refine(
     while True:
         irradiance = lights.irradiance(transfer)
         gloss = np.zeros((len(of.seen.point), 3), np.float32)
-        if of.parts.gloss and done >= WITHOUT_GLOSS:
-            gloss = observed_sheen(of, transfer, lights)
+        if of.parts.specular and done >= WITHOUT_GLOSS:
+            gloss = observed_specular(of, transfer, lights)
         before, (lights, told) = lights, explain(lights, irradiance, gloss, of)
         if lights.radiance is not before.radiance:  # it took up what is not albedo's
             irradiance = lights.irradiance(transfer)
@@ -269,24 +231,24 @@ def refine(
             leaving = np.minimum(lights.albedo, 0.95)[:, None, :] * irradiance
             arriving = bounced(transfer, leaving.reshape(len(leaving), -1)).reshape(leaving.shape)
             lights = replace(lights, bounce=arriving)
-        if done in REGROUP and of.parts.groups:
-            light, kept = regroup(
-                told.over_light + np.log(irradiance)[of.seen.point, lights.light[of.seen.photo]],
+        if done in REASSIGN and of.parts.clusters:
+            light, kept = reassign_photos(
+                told.over_light + np.log(irradiance)[of.seen.point, lights.cluster[of.seen.photo]],
                 np.log(irradiance),
                 np.log(lights.albedo),
                 of.weight,
                 of.seen,
-                lights.light,
+                lights.cluster,
                 lights.known,
-                REGROUP[done],
+                REASSIGN[done],
             )
             lights = replace(
-                lights, radiance=lights.radiance[kept], light=light, bounce=lights.bounce[:, kept]
+                lights, radiance=lights.radiance[kept], cluster=light, bounce=lights.bounce[:, kept]
             )
             course = replace(course, lowest=np.inf)
         else:
             chosen = np.sort(generator.permutation(np.flatnonzero(lights.known))[:POINTS])
-            even = laplacian(of.points.position[chosen], np.log(lights.albedo[chosen]), generator)
+            even = smoothness_laplacian(of.points.position[chosen], np.log(lights.albedo[chosen]), generator)
             equations = _equations(chosen, lights, irradiance, transfer, told, of, even)
             damping = max(0.5**done, 1e-3) + course.harder
             change, shift, level, rate = step(equations, lights.log_exposure, of.expected, precision, damping)
@@ -295,14 +257,16 @@ def refine(
             radiance = np.exp(np.log(lights.radiance) + change).astype(np.float32)
             lights = replace(lights, radiance=radiance, log_exposure=lights.log_exposure + shift)
             if done == LEVEL_STEP and len(lights.radiance) > 1:  # one light alone leaves it open
-                lights = replace(lights, top=float(np.clip(TOP * np.exp(LEVEL_TRUST * level), *BOUNDS)))
+                lights = replace(
+                    lights, brightest_albedo=float(np.clip(TOP * np.exp(LEVEL_TRUST * level), *BOUNDS))
+                )
                 course = replace(course, lowest=np.inf)
         done += 1
         progress(done)
 
 
 @dataclass(frozen=True)
-class Told:
+class Projection:
     """What the observations say of log albedo `over_light` (M, 3), each with the `trust` (M, 3) it deserves;
     `residual` is the rest, `share` (M, 3) of what is shown is diffuse."""
 
@@ -312,22 +276,24 @@ class Told:
     share: np.ndarray
 
 
-def explain(lights: Lights, irradiance: np.ndarray, gloss: np.ndarray, of: Evidence) -> tuple[Lights, Told]:
+def explain(
+    lights: Lighting, irradiance: np.ndarray, gloss: np.ndarray, of: Evidence
+) -> tuple[Lighting, Projection]:
     """The albedo that explains the photos best under given lights; with its level, which exposures lose if they are free,
     else lights, and with a prior its tint, which lights lose."""
     log_albedo = np.log(np.maximum(lights.albedo, FAINTEST), dtype=np.float32)
     over_light, trust, residual, share = (np.empty_like(of.log_colour) for _ in range(4))
-    project(
+    project_albedo(
         *of.by_point,
         of.log_colour,
         of.weight,
         gloss,
         of.seen.photo,
         lights.log_exposure.astype(np.float32),
-        lights.light,
+        lights.cluster,
         irradiance,
         of.prior.log_albedo,
-        of.prior.trust,
+        of.prior.weight,
         not lights.albedo.any(),
         log_albedo,
         over_light,
@@ -346,28 +312,28 @@ def explain(lights: Lights, irradiance: np.ndarray, gloss: np.ndarray, of: Evide
     if left.any():
         whiter = np.exp(-left)
         found = replace(found, radiance=lights.radiance * whiter, bounce=lights.bounce * whiter)
-    return found, Told(over_light + (level + tint), trust, residual, share)
+    return found, Projection(over_light + (level + tint), trust, residual, share)
 
 
-def _level(log_albedo: np.ndarray, lights: Lights, of: Evidence) -> tuple[float, np.ndarray]:
+def _level(log_albedo: np.ndarray, lights: Lighting, of: Evidence) -> tuple[float, np.ndarray]:
     """What is to be added to log albedo, and to its channels (3,) float32: by the mean of the prior over what photos
     see, of linear albedo, since the prior's noise has no mean there; or by the rule for the brightest points, without tint."""
     photos = np.bincount(of.seen.point, minlength=len(of.points))
-    trust = of.prior.trust * lights.known * photos
+    trust = of.prior.weight * lights.known * photos
     if trust.any():
         told, found = (trust @ np.exp(each.astype(np.float64)) for each in (of.prior.log_albedo, log_albedo))
         channels = np.log(told / found)
         return float(channels.mean()), np.asarray(channels - channels.mean(), np.float32)
-    level = np.log(lights.top) - np.quantile(log_albedo[lights.known].max(axis=1), BRIGHTEST)
+    level = np.log(lights.brightest_albedo) - np.quantile(log_albedo[lights.known].max(axis=1), BRIGHTEST)
     return float(level), np.zeros(3, np.float32)
 
 
 def _equations(
     chosen: np.ndarray,
-    lights: Lights,
+    lights: Lighting,
     irradiance: np.ndarray,
-    transfer: Transfer,
-    told: Told,
+    transfer: LightTransport,
+    told: Projection,
     of: Evidence,
     even: torch.Tensor,
 ) -> Equations:
@@ -375,8 +341,8 @@ def _equations(
     renumbered = np.full(len(of.points), -1)
     renumbered[chosen] = np.arange(len(chosen))
     rows = np.flatnonzero(renumbered[of.seen.point] >= 0)
-    known = np.repeat(of.prior.trust[chosen, None], 3, axis=1)
-    light = lights.light[of.seen.photo[rows]]
+    known = np.repeat(of.prior.weight[chosen, None], 3, axis=1)
+    light = lights.cluster[of.seen.photo[rows]]
     bounced_share = lights.bounce[of.seen.point[rows], light] / irradiance[of.seen.point[rows], light]
     return Equations(
         point=renumbered[of.seen.point[rows]],
@@ -386,7 +352,7 @@ def _equations(
         direct=transfer.direct[chosen],
         irradiance=irradiance[chosen],
         radiance=lights.radiance,
-        light=lights.light,
+        light=lights.cluster,
         level=bounced_share - (1.0 / told.share[rows] - 1.0),
         known=known,
         known_residual=of.prior.log_albedo[chosen] - np.log(lights.albedo[chosen]),
@@ -397,11 +363,11 @@ def _equations(
     )
 
 
-def observed_sheen(of: Evidence, transfer: Transfer, lights: Lights) -> np.ndarray:
+def observed_specular(of: Evidence, transfer: LightTransport, lights: Lighting) -> np.ndarray:
     """(M, 3) what the observations owe to gloss."""
-    return sheen(
+    return specular_radiance(
         of.seen.point,
-        lights.light[of.seen.photo],
+        lights.cluster[of.seen.photo],
         of.towards,
         of.points.normal,
         transfer.directions,

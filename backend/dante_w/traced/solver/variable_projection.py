@@ -8,11 +8,10 @@ import numpy as np
 from numba import prange
 
 from dante_w.core.jit import njit, njit_parallel_fast
+from dante_w.traced.state import FAINTEST
 
 #: The residual (log) at which an observation loses half its weight.
 OUTLIER = 0.15
-#: No colour, irradiance or albedo is taken to be less.
-FAINTEST = 1e-5
 _LEAST_LOG = np.float32(math.log(FAINTEST))
 #: What is shown is taken to be diffuse by this share at least, and no log is taken to be farther from it than this.
 LEAST_DIFFUSE, FARTHEST = np.float32(0.05), np.float32(1.5)
@@ -37,7 +36,7 @@ def by_point(point: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @njit_parallel_fast
-def project(
+def project_albedo(
     order: np.ndarray,
     ends: np.ndarray,
     log_colour: np.ndarray,
@@ -56,7 +55,7 @@ def project(
     residual: np.ndarray,
     share: np.ndarray,
 ) -> None:
-    """Write what the observations say, see `lights.Told`, and change `log_albedo` (C, 3) to what explains them best.
+    """Write what the observations say, see `lights.Projection`, and change `log_albedo` (C, 3) to what explains them best.
 
     Args:
         order, ends: see `by_point`.
