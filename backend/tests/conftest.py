@@ -9,10 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dante_w.contract.scene_folder import Camera
+from dante_w.contract.scene_folder import Camera, Frame
 from dante_w.core.color import srgb_from_linear_array
+from dante_w.rays.cast_photos import CAST, CastSettings, Visitor, cast_photos
+from dante_w.rays.ray_cache import RayCache
+from dante_w.rays.scene3d import Scene3D
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import write_png
+from dante_w.scene.mesh import Mesh
 
 if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # before triton is first imported: its kernels then run on the CPU
@@ -67,3 +71,14 @@ def make_scene(folder: Path, photos: int = 8) -> Path:
     intrinsics = {"w": CAMERA.width, "h": CAMERA.height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
     (folder / "transforms.json").write_text(json.dumps({**intrinsics, "frames": frames}))
     return folder
+
+
+def cast(
+    mesh: Mesh,
+    frames: list[Frame],
+    folder: Path,
+    visit: Visitor = lambda *_: None,
+    settings: CastSettings = CAST,
+) -> RayCache:
+    """The ray cache of photos of a mesh, in `folder` where it does not fit into memory."""
+    return cast_photos(Scene3D.build(mesh), frames, visit, lambda _: None, folder, settings)

@@ -1,11 +1,11 @@
 import numpy as np
 import torch
+from conftest import cast
 from dante_w.core.color import linear_from_srgb
 from dante_w.field import scale_ambiguity as gauge
 from dante_w.field.fields import Model, ModelSpec
 from dante_w.field.hash_encoding import GridSpec
 from dante_w.field.optimise import photo_ranges
-from dante_w.rays.ray_cache import trace
 from dante_w.scene.load import load_scene
 
 SPEC = ModelSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 8, 10), hidden=16, embedding=3)
@@ -13,7 +13,7 @@ SPEC = ModelSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 8, 10), hidd
 
 def untrained(scene, tmp_path):
     loaded, mesh = load_scene(scene)
-    cache = trace(mesh, loaded.frames, lambda *_: None, lambda _: None, tmp_path)
+    cache = cast(mesh, loaded.frames, tmp_path)
     return cache, Model(SPEC, len(loaded.frames))
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import CAMERA, photograph, pose
+from conftest import CAMERA, cast, photograph, pose
 from dante_w.commands import recover_traced
 from dante_w.commands.cli import main
 from dante_w.contract.scene_folder import Frame, Scene, write_scene
@@ -23,7 +23,7 @@ from dante_w.field import presets
 from dante_w.field.fields import ModelSpec
 from dante_w.field.hash_encoding import GridSpec
 from dante_w.field.optimise import Schedule
-from dante_w.rays.ray_cache import RayCache, trace
+from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.raycast import Frame3D
 from dante_w.scene.images import read_texture, write_exr
 from dante_w.scene.mesh import Mesh, write_obj
@@ -154,7 +154,7 @@ def apart(first: bytes, second: bytes) -> float:
 
 def cached(world: World) -> RayCache:
     with tempfile.TemporaryDirectory() as name:
-        return trace(world.mesh, frames_in(world, Path(name)), lambda *_: None, lambda _: None, Path(name))
+        return cast(world.mesh, frames_in(world, Path(name)), Path(name))
 
 
 @FAST

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from dante_w.rays.normals import corner_normals
-from dante_w.rays.ray_cache import face_geometry
+from dante_w.rays.scene3d import face_geometry
 from dante_w.scene.mesh import Mesh
 
 

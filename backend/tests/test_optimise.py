@@ -13,7 +13,8 @@ from dante_w.field.held_out import _bands
 from dante_w.field.optimise import FINAL_RATE, LossTerms, Schedule, cosine, fit, model_loss
 from dante_w.field.presets import PRESETS, equal_bands
 from dante_w.field.pyramid import PyramidSpec
-from dante_w.rays.ray_cache import CELLS, RayCache, Samples, Surface, note_finest
+from dante_w.rays.finest_footprint import no_footprints, note_finest
+from dante_w.rays.ray_cache import RayCache, Samples, Surface
 from dante_w.scene.held_out import choose_held_out
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -202,7 +203,7 @@ def two_distances(near: int, far: int) -> tuple[RayCache, np.ndarray]:
         colour[texels == width] = seen_from(texture, uv[texels == width], width)
     u, v = uv.T
     bary = np.where((v <= u)[:, None], np.stack([u - v, v], 1), np.stack([u, v - u], 1))
-    footprint, finest = (texels / SIDE).astype(np.float16), np.full((CELLS, CELLS), np.inf, np.float32)
+    footprint, finest = (texels / SIDE).astype(np.float16), no_footprints()
     note_finest(uv, footprint.astype(np.float32), finest)
     corners = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]], [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]])
     srgb = srgb_from_linear(torch.from_numpy(colour)).numpy().astype(np.float16)

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import CAMERA, SQUARE, make_scene, pose
+from conftest import CAMERA, SQUARE, cast, make_scene, pose
 from dante_w.commands import recover_traced, stages
 from dante_w.commands.cli import main
 from dante_w.commands.plan_report import LEAST_SIDE, texture_side
@@ -18,8 +18,8 @@ from dante_w.contract.protocol import YOU_CHOSE
 from dante_w.contract.scene_folder import Camera, Frame
 from dante_w.estimate import memory
 from dante_w.rays import footprint
-from dante_w.rays.footprint import FILLED, glance
-from dante_w.rays.ray_cache import trace
+from dante_w.rays.footprint import GLANCE, glance
+from dante_w.rays.scene3d import Scene3D
 from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import read_mesh
 
@@ -54,41 +54,49 @@ def side_of(found: footprint.Glance, **more) -> int:
 
 @pytest.mark.parametrize("resolution", [300, 450, 700])
 def test_twice_the_photos_resolution_twice_the_texture_up_to_the_most(square, resolution):
-    first = side_of(glance(square, photos(resolution, 1.0)))
+    first = side_of(glance(Scene3D.build(square), photos(resolution, 1.0)))
     assert resolution <= first < 2 * resolution * 1.05
     for times in (2, 4, 8, 16, 32):
-        assert side_of(glance(square, photos(times * resolution, 1.0))) == min(times * first, MOST)
+        assert side_of(glance(Scene3D.build(square), photos(times * resolution, 1.0))) == min(
+            times * first, MOST
+        )
 
 
 def test_half_the_texture_for_charts_half_as_long(square):
     small = dataclasses.replace(square, uvs=0.5 * square.uvs)
-    assert side_of(glance(small, photos(900, 1.0))) == 2 * side_of(glance(square, photos(900, 1.0)))
+    assert side_of(glance(Scene3D.build(small), photos(900, 1.0))) == 2 * side_of(
+        glance(Scene3D.build(square), photos(900, 1.0))
+    )
 
 
 def test_the_sharper_photos_decide(square):
     """One in two is four times as far; of the sharper quarter of pixels all are the near ones'."""
-    alone = side_of(glance(square, photos(900, 1.0)))
-    assert side_of(glance(square, photos(900, 1.0, 1.3))) == alone
-    assert side_of(glance(square, photos(900, 4.0))) == max(alone // 4, LEAST_SIDE)
+    alone = side_of(glance(Scene3D.build(square), photos(900, 1.0)))
+    assert side_of(glance(Scene3D.build(square), photos(900, 1.0, 1.3))) == alone
+    assert side_of(glance(Scene3D.build(square), photos(900, 4.0))) == max(alone // 4, LEAST_SIDE)
 
 
 def test_a_few_pixels_tell_what_all_of_them_do(tmp_path):
     scene, mesh = load_scene(make_scene(tmp_path / "s"), None, None, None)
-    cache = trace(mesh, scene.frames, lambda *_: None, lambda done: None, tmp_path)
-    found = glance(mesh, scene.frames)
+    cache = cast(mesh, scene.frames, tmp_path)
+    found = glance(Scene3D.build(mesh), scene.frames)
     assert footprint.sharp(found.footprint) == pytest.approx(footprint.sharp(cache.footprint), rel=0.02)
     assert found.share * CAMERA.width * CAMERA.height * 8 == pytest.approx(len(cache), rel=0.03)
 
 
 def test_a_mesh_to_be_unwrapped_is_taken_to_fill_the_texture_evenly(square):
-    charts = dataclasses.replace(square, uvs=FILLED**0.5 * square.uvs)
+    charts = dataclasses.replace(square, uvs=GLANCE.filled**0.5 * square.uvs)
     bare = dataclasses.replace(square, uvs=None)
     frames = photos(900, 1.0, 1.5)
-    np.testing.assert_allclose(glance(bare, frames).footprint, glance(charts, frames).footprint, rtol=1e-5)
+    np.testing.assert_allclose(
+        glance(Scene3D.build(bare), frames).footprint,
+        glance(Scene3D.build(charts), frames).footprint,
+        rtol=1e-5,
+    )
 
 
 def test_bounds_and_reasons(square):
-    found = glance(square, photos(900, 1.0))
+    found = glance(Scene3D.build(square), photos(900, 1.0))
     coarse = footprint.Glance(1e4 * found.footprint, 1.0)
     assert (side_of(found, most=512), side_of(coarse), side_of(coarse, most=64)) == (512, LEAST_SIDE, 64)
     assert "preset" in texture_side(found.footprint, 512, None, 1, 1 << 40)[1].reason
@@ -168,7 +176,7 @@ def test_memory_is_foretold(scene, tmp_path, irradiance):
 def test_a_machine_too_small_takes_a_smaller_texture_and_says_so(tmp_path, capsys, monkeypatch):
     sharp = make_scene(tmp_path / "s", photos=3)
     close = footprint.Glance(np.full(100, 1.0 / 2000.0), 0.5)
-    monkeypatch.setattr(stages, "glance", lambda mesh, frames: close)
+    monkeypatch.setattr(stages, "glance", lambda scene3d, frames: close)
     assert planned(capsys, str(sharp))[0]["texture_size"] == 2048
     assert planned(capsys, str(sharp), "--preset", "high")[0]["texture_size"] == 2048
     monkeypatch.setattr(stages, "room", lambda: memory.resident() + memory.AVERAGED * 1500**2)

@@ -6,26 +6,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from conftest import CAMERA, make_scene, pose
+from conftest import CAMERA, cast, make_scene, pose
 from dante_w.commands.cli import main
 from dante_w.contract.errors import BadInput
 from dante_w.contract.scene_folder import Frame
-from dante_w.rays import ray_cache, raycast
+from dante_w.rays import raycast
+from dante_w.rays.cast_photos import CastSettings
+from dante_w.rays.ray_cache import RayCache, sample_bytes
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.load import load_scene
 
 CPU = torch.device("cpu")
 
 
-def trace(folder: Path, spill: Path, visit=lambda *_: None) -> ray_cache.RayCache:
+def cast_scene(folder: Path, spill: Path, **more) -> RayCache:
     loaded, mesh = load_scene(folder)
     spill.mkdir()
-    return ray_cache.trace(mesh, loaded.frames, visit, lambda _: None, spill)
+    return cast(mesh, loaded.frames, spill, **more)
 
 
 def test_texture_coordinates_and_positions_are_where_the_pixel_looks(scene, tmp_path):
     seen: list = []
-    cache = trace(scene, tmp_path / "spill", lambda uv, footprint, colour: seen.append((uv, footprint)))
+    cache = cast_scene(scene, tmp_path / "spill", visit=lambda uv, footprint, _: seen.append((uv, footprint)))
     frames = load_scene(scene)[0].frames
     for photo, frame in enumerate(frames):
         fx, fy, cx, cy = CAMERA.params
@@ -51,28 +53,25 @@ def test_the_surface_has_the_meshs_normals(scene, tmp_path):
     tilted = np.tile(np.float32((0.6, 0.0, 0.8)), (len(mesh.faces), 3, 1))
     up = np.cross(*(mesh.vertices[mesh.faces][0, 1:] - mesh.vertices[mesh.faces][0, 0]))[2]
     for normals, wanted in ((np.sign(up) * tilted, 0.6), (None, 0.0)):
-        cache = ray_cache.trace(
-            replace(mesh, normals=normals), loaded.frames, lambda *_: None, lambda _: None, tmp_path
-        )
+        cache = cast(replace(mesh, normals=normals), loaded.frames, tmp_path)
         np.testing.assert_allclose(np.abs(cache.surface.normals.numpy()[..., 0]), wanted, atol=1e-6)
 
 
 def test_a_sample_takes_at_most_24_bytes(scene, tmp_path):
-    cache = trace(scene, tmp_path / "spill")
+    cache = cast_scene(scene, tmp_path / "spill")
     total = sum(array.nbytes for array in (cache.face, cache.bary, cache.colour))
     assert total <= 24 * len(cache)
     assert len(cache) > 0
 
 
-def test_a_spilled_cache_holds_the_same_samples(scene, tmp_path, monkeypatch):
-    in_memory = trace(scene, tmp_path / "a")
-    monkeypatch.setattr(ray_cache, "SHARE_OF_MEMORY", 0.0)
-    on_disk = trace(scene, tmp_path / "b")
+def test_a_spilled_cache_holds_the_same_samples(scene, tmp_path):
+    in_memory = cast_scene(scene, tmp_path / "a")
+    on_disk = cast_scene(scene, tmp_path / "b", settings=CastSettings(share_of_memory=0.0))
     assert isinstance(on_disk.colour, np.memmap)
     assert not list((tmp_path / "a").iterdir())
     for name in ("face", "bary", "colour", "starts"):
         np.testing.assert_array_equal(getattr(in_memory, name), getattr(on_disk, name))
-    whole = ray_cache.sample_bytes(prior=False) * len(on_disk)
+    whole = sample_bytes(prior=False) * len(on_disk)
     assert sum(file.stat().st_size for file in (tmp_path / "b").iterdir()) == whole
     on_disk.forget()
     np.testing.assert_array_equal(in_memory.colour, on_disk.colour)
@@ -82,7 +81,7 @@ def test_masked_pixels_make_no_samples(tmp_path):
     from dante_w.scene.images import write_png
 
     folder = make_scene(tmp_path / "scene", photos=1)
-    whole = trace(folder, tmp_path / "a")
+    whole = cast_scene(folder, tmp_path / "a")
     mask = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
     mask[:18] = 255
     write_png(folder / "mask.png", mask)
@@ -90,7 +89,7 @@ def test_masked_pixels_make_no_samples(tmp_path):
     (folder / "transforms.json").write_text(
         text.replace('"file_path"', '"mask_path": "mask.png", "file_path"')
     )
-    masked = trace(folder, tmp_path / "b")
+    masked = cast_scene(folder, tmp_path / "b")
     np.testing.assert_array_equal(masked.face, whole.face[: len(masked)])
     assert 0 < len(masked) < len(whole)
 
@@ -101,7 +100,7 @@ def test_cameras_that_look_away_are_bad_input(tmp_path):
     frame = loaded.frames[0]
     away = Frame(frame.image, frame.camera, pose(0.5, 0.5, -3.0))
     with pytest.raises(BadInput, match="no pixel sees the mesh"):
-        ray_cache.trace(mesh, [away], lambda *_: None, lambda _: None, tmp_path)
+        cast(mesh, [away], tmp_path)
 
 
 def test_grazing_views_are_left_out(tmp_path):
@@ -114,7 +113,7 @@ def test_grazing_views_are_left_out(tmp_path):
     flat[:3, 3] = 0.5, -1.0, 0.1
     frame = Frame(loaded.frames[0].image, loaded.frames[0].camera, flat)
     with pytest.raises(BadInput):
-        ray_cache.trace(mesh, [frame], lambda *_: None, lambda _: None, tmp_path)
+        cast(mesh, [frame], tmp_path)
 
 
 def test_a_far_offset_costs_no_precision(scene, tmp_path):
@@ -130,9 +129,9 @@ def test_a_far_offset_costs_no_precision(scene, tmp_path):
         )
         for f in loaded.frames
     ]
-    near = ray_cache.trace(mesh, loaded.frames, lambda *_: None, lambda _: None, tmp_path)
+    near = cast(mesh, loaded.frames, tmp_path)
     there = Mesh(mesh.vertices + far, mesh.faces, mesh.uvs)
-    away = ray_cache.trace(there, moved, lambda *_: None, lambda _: None, tmp_path)
+    away = cast(there, moved, tmp_path)
     # 1e7 in float64 leaves 2e-9 units; a pixel at the square's edge may fall to either side
     assert abs(len(near) - len(away)) <= 2
     if len(near) == len(away):
@@ -147,7 +146,7 @@ def test_priors_are_resized_to_their_photo(tmp_path):
     (tmp_path / "priors").mkdir()
     write_png(tmp_path / "priors/0.png", np.full((18, 24, 3), 128, np.uint8))  # without alpha: to be trusted
     loaded, mesh = load_scene(folder, priors=tmp_path / "priors")
-    cache = ray_cache.trace(mesh, loaded.frames, lambda *_: None, lambda _: None, tmp_path)
+    cache = cast(mesh, loaded.frames, tmp_path)
     prior = cache.samples(np.arange(len(cache)), CPU).prior
     first = cache.starts[1]
     np.testing.assert_allclose(prior[:first, :3], 128 / 255, atol=1e-3)
@@ -157,7 +156,7 @@ def test_priors_are_resized_to_their_photo(tmp_path):
 
 def test_rays_without_direction_hit_nothing(scene):
     _, mesh = load_scene(scene)
-    caster = Raycaster(mesh, Frame3D.of(mesh.vertices))
+    caster = Raycaster(mesh, Frame3D.bounding(mesh.vertices))
     hits = caster.cast(np.array([0.5, 0.5, 1.0]), np.array([[np.nan, 0, -1], [0, 0, -2.0], [0, 0, 1]]))
     assert hits.ray.tolist() == [1]
     assert hits.distance[0] == pytest.approx(0.25)  # the square lies at z = 0.5 of its unit cube

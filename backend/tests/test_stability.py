@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from conftest import CAMERA, albedo_at, make_scene
+from conftest import CAMERA, albedo_at, cast, make_scene
 from dante_w.commands import recover_traced
 from dante_w.commands.cli import main
 from dante_w.contract.errors import BadInput
@@ -20,7 +20,7 @@ from dante_w.field.fields import Model, ModelSpec
 from dante_w.field.hash_encoding import GridSpec, HashGrid, encode_reference
 from dante_w.field.optimise import FusedStep, LossTerms, Schedule, TorchStep, fit, model_loss
 from dante_w.rays.radiance_levels import GLARING, NEARLY_WHITE, levelled
-from dante_w.rays.ray_cache import Samples, trace
+from dante_w.rays.ray_cache import Samples
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.images import read_photo, read_texture, write_exr
 from dante_w.scene.mesh import Mesh
@@ -193,7 +193,7 @@ def test_glints_neither_set_the_level_nor_keep_their_brightness():
 
 def test_integer_photos_are_not_levelled(scene, tmp_path):
     frames = read_scene(scene).frames
-    cache = trace(square(), frames[:2], lambda *_: None, lambda _: None, tmp_path)
+    cache = cast(square(), frames[:2], tmp_path)
     assert cache.level is not None and not cache.level.any()
     photo = read_photo(frames[0].image)
     assert set(np.unique(cache.colour[: cache.starts[1]])) <= set(np.unique(photo.srgb.astype(np.float16)))
@@ -204,7 +204,7 @@ def test_unknown_pixels_of_a_prior_are_unknown_not_black(scene, tmp_path):
     prior[: CAMERA.height // 2] = np.nan
     write_exr(tmp_path / "prior.exr", prior)
     frame = dataclasses.replace(read_scene(scene).frames[0], albedo=tmp_path / "prior.exr")
-    cache = trace(square(), [frame], lambda *_: None, lambda _: None, tmp_path)
+    cache = cast(square(), [frame], tmp_path)
     assert cache.prior is not None
     known = np.isfinite(cache.prior).all(axis=1)
     assert 0.2 < known.mean() < 0.8 and (cache.prior[known] > 0.5).all()
@@ -238,7 +238,7 @@ def test_one_photo_or_two_give_a_texture_by_traced_light(tmp_path, capsys, photo
 
 
 def test_rays_from_afar_meet_what_they_aim_at():
-    caster = Raycaster(square(), Frame3D.of(square().vertices))
+    caster = Raycaster(square(), Frame3D.bounding(square().vertices))
     target = np.random.default_rng(0).uniform(0.05, 0.95, (200, 2))
     for away in (1.0, 1e3, 1e6):
         origin = 0.5 + away * np.array([0.6, -0.45, 1.0])
@@ -262,7 +262,7 @@ def test_a_camera_on_the_surface_still_has_footprints(scene, tmp_path):
     pose = frame.camera_to_world.copy()
     pose[:3, 3] = 0.5, 0.5, 0.0
     frames = [frame, dataclasses.replace(frame, camera_to_world=pose)]
-    cache = trace(square(), frames, lambda *_: None, lambda _: None, tmp_path)
+    cache = cast(square(), frames, tmp_path)
     assert cache.finest is not None and cache.finest.min() > 0.0
     points = ShadingPoints(
         np.zeros(1, np.int32), np.array([[0.5, 0.5, 0.0]], np.float32), np.eye(3, dtype=np.float32)[2:]
@@ -275,11 +275,9 @@ def test_faces_without_a_place_on_the_texture_tell_nothing(scene, tmp_path):
     assert mesh.uvs is not None
     uvs = mesh.uvs.copy()
     uvs[1] = 0.5
-    cache = trace(
+    cache = cast(
         dataclasses.replace(mesh, uvs=uvs),
         read_scene(scene).frames,
-        lambda *_: None,
-        lambda _: None,
         tmp_path,
     )
     assert set(np.unique(cache.face)) == {0}
@@ -290,8 +288,8 @@ def test_a_photo_of_the_other_side_of_a_sheet_is_left_out(scene, tmp_path):
     below = np.diag([1.0, -1.0, -1.0, 1.0])
     below[:3, 3] = 0.5, 0.5, -1.2
     frames = [dataclasses.replace(frames[0], camera_to_world=below), *frames]
-    cache = trace(square(), frames, lambda *_: None, lambda _: None, tmp_path)
-    frame3d = Frame3D.of(square().vertices)
+    cache = cast(square(), frames, tmp_path)
+    frame3d = Frame3D.bounding(square().vertices)
     cameras = frame3d.normalise(np.stack([frame.camera_to_world[:3, 3] for frame in frames]))
     points, seen = gather(cache, cameras)
     many = np.bincount(seen.point, minlength=len(points)) > 2
@@ -302,4 +300,4 @@ def test_a_photo_of_the_other_side_of_a_sheet_is_left_out(scene, tmp_path):
 def test_a_mesh_without_a_photo_of_it_is_told_apart_from_masked_photos(scene, tmp_path):
     far = dataclasses.replace(square(), vertices=square().vertices + 50.0)
     with pytest.raises(BadInput, match="coordinate system"):
-        trace(far, read_scene(scene).frames, lambda *_: None, lambda _: None, tmp_path)
+        cast(far, read_scene(scene).frames, tmp_path)

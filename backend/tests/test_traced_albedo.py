@@ -80,7 +80,7 @@ CORNERS = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0
 FACES = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
 UVS = CORNERS[FACES][:, :, :2] * 0.25  # a chart of 64 x 64 shading points
 MESH = Mesh(CORNERS, FACES, UVS)
-FRAME = Frame3D.of(CORNERS)
+FRAME = Frame3D.bounding(CORNERS)
 RADIANCE = np.ones((2, 64, 3), np.float32) * np.array([1.0, 2.0], np.float32)[:, None, None]
 
 

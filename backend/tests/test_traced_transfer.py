@@ -34,7 +34,7 @@ def cache_of(
     mesh: Mesh, face: np.ndarray, bary: np.ndarray, colour: np.ndarray, starts: list[int]
 ) -> RayCache:
     assert mesh.uvs is not None
-    corners = Frame3D.of(mesh.vertices).normalise(mesh.vertices)[mesh.faces]
+    corners = Frame3D.bounding(mesh.vertices).normalise(mesh.vertices)[mesh.faces]
     surface = Surface(torch.from_numpy(mesh.uvs).float(), torch.from_numpy(corners).float())
     encoded = np.rint(np.asarray(bary) * 65535.0).astype(np.uint16)
     return RayCache(
@@ -53,7 +53,7 @@ def everywhere(mesh: Mesh, camera: np.ndarray = CENTRE) -> ShadingPoints:
 
 
 def traced(mesh: Mesh, points: ShadingPoints, count: int = 64) -> LightTransport:
-    frame = Frame3D.of(mesh.vertices)
+    frame = Frame3D.bounding(mesh.vertices)
     assert mesh.uvs is not None
     caster = Raycaster(mesh, frame)
     return trace_light_transport(points, caster, mesh.uvs, count, lambda _: None)
@@ -63,7 +63,7 @@ def one_point(
     mesh: Mesh, place: tuple[float, float, float], normal: tuple[float, float, float]
 ) -> ShadingPoints:
     """A single point; nothing else on the mesh was seen."""
-    position = Frame3D.of(mesh.vertices).normalise(np.array([place])).astype(np.float32)
+    position = Frame3D.bounding(mesh.vertices).normalise(np.array([place])).astype(np.float32)
     return ShadingPoints(np.full(SIDE * SIDE, -1, np.int32), position, np.array([normal], np.float32))
 
 

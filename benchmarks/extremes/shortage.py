@@ -14,9 +14,9 @@ from extremes.row import Row
 #: The ray cache goes to disk, as it does when it would fill a third of the free memory.
 SPILL = """
 import psutil
-from dante_w.rays import ray_cache
+from dante_w.rays import cast_photos
 class Little: virtual_memory = staticmethod(lambda: psutil.virtual_memory()._replace(available=0))
-ray_cache.psutil = Little
+cast_photos.psutil = Little
 """
 KEEP_ALL = "from dante_w.run import checkpoints; checkpoints.SECONDS = 0.0"
 #: What every library says when memory runs out, raised where it would be.

@@ -157,7 +157,7 @@ def change_of(spoil: str, scene: Path, frames: list[Frame], random: np.random.Ge
         lights /= np.linalg.norm(lights, axis=1, keepdims=True)
         lights[:, 2] = np.abs(lights[:, 2])
         centres = np.stack([frame.camera_to_world[:3, 3] for frame in frames])
-        eyes = Frame3D.of(read_mesh(scene / "mesh.obj").vertices).normalise(centres)
+        eyes = Frame3D.bounding(read_mesh(scene / "mesh.obj").vertices).normalise(centres)
         return highlights(Viewer(scene / "mesh.obj", frames), eyes, lights)
     changes: dict[str, Change] = {"clipped": clipped, "dark": dark, "people": people, "unmasked": unmasked}
     return changes.get(spoil, lambda linear, *_: linear)

@@ -95,7 +95,7 @@ def write_photos(folder: Path, mesh: Mesh, side: int, count: int, lights: int | 
     """Write `count` different JPEG photos of side x side pixels into `folder`; returns their frames. Each is under
     one of as many `lights`, drawn at random; by default under a light of its own."""
     camera = Camera("PINHOLE", side, side, (FOCAL * side, FOCAL * side, side / 2, side / 2))
-    frame3d = Frame3D.of(mesh.vertices)
+    frame3d = Frame3D.bounding(mesh.vertices)
     caster = Raycaster(mesh, frame3d)
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

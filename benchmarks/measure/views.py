@@ -43,7 +43,7 @@ class Viewer:
         self._mesh = read_mesh(mesh_file)
         if self._mesh.uvs is None:
             raise ValueError(f"{mesh_file} has no UVs")
-        self._frame3d = Frame3D.of(self._mesh.vertices)
+        self._frame3d = Frame3D.bounding(self._mesh.vertices)
         self._caster = Raycaster(self._mesh, self._frame3d)
         self._keep = keep
         self._seen: dict[int, tuple[np.ndarray, np.ndarray]] = {}

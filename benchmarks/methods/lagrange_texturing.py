@@ -53,7 +53,7 @@ def texture_of(mesh: Mesh, frames: list[Frame], size: int) -> np.ndarray:
     if len({(frame.camera.width, frame.camera.height) for frame in frames}) > 1:
         raise BadInput(f"{frames[0].image}: lagrange wants photos of one size; leave the others out.")
     start = time.monotonic()
-    unit = Frame3D.of(mesh.vertices)  # lagrange's cameras are float32: keep positions small
+    unit = Frame3D.bounding(mesh.vertices)  # lagrange's cameras are float32: keep positions small
     surface = surface_of(mesh, unit)
     cameras = [camera_of(frame, unit) for frame in frames]
     photos = [photo_of(frame) for frame in frames]

@@ -19,6 +19,7 @@ import dataclasses
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import ModuleType
 from typing import Any
 
@@ -29,7 +30,7 @@ from dante_w.contract.errors import BAD_INPUT
 from dante_w.field.fields import Model, ModelSpec
 from dante_w.field.presets import PRESETS, Preset
 from dante_w.field.pyramid import PyramidSpec
-from dante_w.rays import ray_cache
+from dante_w.rays import cast_photos
 from dante_w.rays.ray_cache import RayCache
 from dante_w.traced import light_transport as transfer
 from dante_w.traced import shading_points
@@ -76,11 +77,13 @@ def install(changes: Mapping[str, Any]) -> None:
     """
     changed = {name: altered(preset, changes) for name, preset in PRESETS.items()}
     PRESETS.update(changed)
-    ray_cache.SHARE_OF_MEMORY = changes.get(CACHE_SHARE, ray_cache.SHARE_OF_MEMORY)
+    if CACHE_SHARE in changes:
+        share = cast_photos.CastSettings(share_of_memory=changes[CACHE_SHARE])
+        stages.cast_photos = partial(cast_photos.cast_photos, settings=share)
     fraction = changes.get(RAY_FRACTION, 1.0)
     if fraction < 1.0:
-        trace = stages.trace
-        stages.trace = lambda *arguments: thinned(trace(*arguments), fraction)
+        cast = stages.cast_photos
+        stages.cast_photos = lambda *arguments: thinned(cast(*arguments), fraction)
     if changes.get(DECODER_PRECISION) == "bfloat16":
         recover_field.Model = bfloat16_model  # type: ignore[assignment,misc]
     if DIRECTIONS in changes:
@@ -161,7 +164,7 @@ def _replaced(part: Any, path: Sequence[str], value: Any) -> Any:
 
 def thinned(cache: RayCache, fraction: float) -> RayCache:
     """The cache with a random `fraction` of its samples, as if the photos had so many fewer pixels."""
-    return cache.of(np.flatnonzero(np.random.default_rng(0).random(len(cache)) < fraction))
+    return cache.subset(np.flatnonzero(np.random.default_rng(0).random(len(cache)) < fraction))
 
 
 class Bfloat16(nn.Sequential):

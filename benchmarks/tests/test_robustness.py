@@ -72,7 +72,7 @@ def test_photos_are_spoilt_as_they_should_be(copies):
 
 def test_meshes_and_poses_are_a_little_off(scene, copies):
     mesh, true = read_mesh(copies["mesh"].mesh), read_mesh(scene / "mesh.obj")
-    off = np.linalg.norm(mesh.vertices - true.vertices, axis=1) / Frame3D.of(true.vertices).extent
+    off = np.linalg.norm(mesh.vertices - true.vertices, axis=1) / Frame3D.bounding(true.vertices).extent
     assert np.sqrt(np.mean(off**2)) == pytest.approx(0.003, rel=0.3)
     np.testing.assert_array_equal(mesh.uvs, true.uvs)
     for frame, before in zip(copies["poses"].frames, copies["clean"].frames, strict=True):

@@ -27,8 +27,8 @@ def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> d
     """Recover the albedo texture into `staging`; returns the report. `options` are the command's.
 
     Raises:
-        BadInput: the scene cannot be used, or there is nothing to fit to; see `load.load_scene`, `uvmap.check_uvs` and
-            `ray_cache.trace`.
+        BadInput: the scene cannot be used, or there is nothing to fit to; see `load.load_scene`, `rasterise.check_uvs`
+            and `cast_photos.cast_photos`.
     """
     if options.known and options.unwrap:
         raise BadInput(
@@ -68,17 +68,17 @@ def _check_parts(options: argparse.Namespace, field: bool) -> None:
 
 def average(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
     """Average the photos on the texture, light and all: the baseline. Same files and errors as `recover`."""
-    scene, mesh, size, _ = prepare(
+    scene, scene3d, size, _ = prepare(
         options, None, PRESETS["standard"].texture_size, AVERAGED, staging, progress
     )
-    expect_no_fit(options, scene, mesh, size, staging, progress)
+    expect_no_fit(options, scene, scene3d, size, staging, progress)
     coverage, mean = empty_coverage(size, size), PhotoAverage(size, size)
 
     def visit(uv: np.ndarray, footprint: np.ndarray, srgb: np.ndarray) -> None:
         mark(coverage, uv, footprint * size)
         mean.add(uv, linear_from_srgb_array(srgb), 1.0, footprint * size)
 
-    cache = trace_rays(scene, mesh, visit, staging, progress)
-    seen = bake_files(nearest(mean.resolve()), mesh, coverage, options.format, staging, progress)
+    cache = trace_rays(scene, scene3d, visit, staging, progress)
+    seen = bake_files(nearest(mean.resolve()), scene3d.mesh, coverage, options.format, staging, progress)
     facts = {"photos": len(scene.frames), "samples": len(cache), "coverage": seen, "texture_size": size}
     return write_report(options, staging, progress, **facts)

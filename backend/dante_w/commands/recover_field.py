@@ -48,13 +48,13 @@ from dante_w.field.optimise import LossTerms, fit, photo_ranges
 from dante_w.field.presets import PRESETS, equal_bands, sized
 from dante_w.field.scale_ambiguity import albedo_gain, start_exposures
 from dante_w.rays.ray_cache import RayCache
+from dante_w.rays.scene3d import Scene3D
 from dante_w.run import distributed
 from dante_w.run.checkpoints import Checkpoints, open_checkpoints
 from dante_w.run.device import pick_device
 from dante_w.run.progress import Progress
 from dante_w.run.setbacks import Setback
 from dante_w.scene.held_out import choose_held_out
-from dante_w.scene.mesh import Mesh
 
 #: A fit that leaves more than this part of the loss that it began with, and more than this loss, has told nothing.
 TOLD_NOTHING, LITTLE = 0.9, 0.05
@@ -66,7 +66,7 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
     distributed.join(device)
     preset = PRESETS[options.preset]
     spec = equal_bands(preset.model) if options.equal_bands else preset.model
-    scene, mesh, size, texture = prepare(
+    scene, scene3d, size, texture = prepare(
         options, options.priors, preset.texture_size, BAKED, staging, progress
     )
     use_prior = options.prior_weight > 0.0 and any(frame.albedo for frame in scene.frames)
@@ -76,10 +76,10 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
     terms = LossTerms(not options.no_photometric, options.prior_weight, *ours)
     held_out = choose_held_out(len(scene.frames))
     fitting = Fitting(spec, terms, preset.schedule.batch, device)
-    expected = _expect(options, scene, mesh, held_out, size, fitting, staging, progress)
+    expected = _expect(options, scene, scene3d, held_out, size, fitting, staging, progress)
     held = resident()
-    kept = open_checkpoints(options, scene, mesh)
-    seen = look(scene, mesh, size, kept, staging, progress)
+    kept = open_checkpoints(options, scene, scene3d.mesh)
+    seen = look(scene, scene3d, size, kept, staging, progress)
     cache, coverage, size = seen.cache, seen.coverage, seen.coverage.width
     if terms.photometric:
         check_exposed(scene, cache)
@@ -100,7 +100,12 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
 
     known = known_gain(texels, coverage, options.known)
     covered = bake_files(
-        lambda uv: np.minimum(texels(uv) * known, 1.0), mesh, coverage, options.format, staging, progress
+        lambda uv: np.minimum(texels(uv) * known, 1.0),
+        scene3d.mesh,
+        coverage,
+        options.format,
+        staging,
+        progress,
     )
     return write_report(
         options,
@@ -126,12 +131,12 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
 def plan_field(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
     """Decide how large the paper's model is and say so, without fitting it. Arguments and errors as `recover.recover`."""
     preset = PRESETS[options.preset]
-    scene, mesh, size, texture = prepare(
+    scene, scene3d, size, texture = prepare(
         options, options.priors, preset.texture_size, BAKED, staging, progress
     )
-    expect_no_fit(options, scene, mesh, size, staging, progress)
+    expect_no_fit(options, scene, scene3d, size, staging, progress)
     held = resident()
-    cache = look(scene, mesh, size, None, staging, progress).cache
+    cache = look(scene, scene3d, size, None, staging, progress).cache
     check_exposed(scene, cache)
     spec = preset.model if options.preset == "paper" else sized(preset.model, size, cache)
     decisions = _plan(scene, spec, cache, size, texture, held)
@@ -164,7 +169,7 @@ def _plan(
 def _expect(
     options: argparse.Namespace,
     scene: Scene,
-    mesh: Mesh,
+    scene3d: Scene3D,
     held_out: np.ndarray,
     size: int,
     fitting: Fitting,
@@ -181,7 +186,8 @@ def _expect(
         steps=preset.schedule.steps,
         final_steps=preset.final_pass.steps if len(held_out) and not options.keep_held_out else 0,
     )
-    to_come = predict(measure(take(scene.frames, mesh), mesh, texture, staging, fitting), work)
+    sample = take(scene.frames, scene3d)
+    to_come = predict(measure(sample, scene3d.mesh, texture, staging, fitting), work)
     begin(progress, to_come)
     priors = any(frame.albedo for frame in scene.frames) and fitting.terms.prior_weight > 0.0
     as_measured = not (priors or options.equal_bands)

@@ -44,10 +44,10 @@ from dante_w.estimate.pace import Texture, measure, take
 from dante_w.estimate.traced_pace import TracedPace, TracedWork, measure_traced, predict_traced
 from dante_w.field.presets import PRESETS
 from dante_w.rays.ray_cache import RayCache
+from dante_w.rays.scene3d import Scene3D
 from dante_w.run.checkpoints import Checkpoints, open_checkpoints
 from dante_w.run.progress import Progress
 from dante_w.scene.held_out import choose_held_out
-from dante_w.scene.mesh import Mesh
 from dante_w.traced.model_selection import Fixed, select_components
 from dante_w.traced.pipeline import TracedScene, examine, recover_albedo
 from dante_w.traced.state import Components, Lighting
@@ -68,20 +68,20 @@ FEW_DIRECTIONS = 64
 def recover_traced(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
     """Light traced through the mesh. Arguments and errors as `recover.recover`."""
     begun = _start(options, staging, progress)
-    scene, mesh = begun.scene, begun.mesh
-    kept = open_checkpoints(options, scene, mesh)
-    seen = look(scene, mesh, begun.size, kept, staging, progress)
+    scene, scene3d = begun.scene, begun.scene3d
+    kept = open_checkpoints(options, scene, scene3d.mesh)
+    seen = look(scene, scene3d, begun.size, kept, staging, progress)
     cache, coverage, size = seen.cache, seen.coverage, seen.coverage.width
     check_exposed(scene, cache)
     of, planned, plan = _plan(options, begun, cache, DIRECTIONS[options.preset], progress, kept)
     progress.expect(_to_come(begun, cache, of, planned))
     lights = planned.begun if options.preset in GOES_ON else None
     texture, facts = recover_albedo(
-        of, cache, mesh, size, planned.parts, lights, options.seed, progress, kept
+        of, cache, scene3d, size, planned.parts, lights, options.seed, progress, kept
     )
     texels = nearest(texture)
     gain = known_gain(texels, coverage, options.known)
-    covered = bake_files(nearest(texture * gain), mesh, coverage, options.format, staging, progress)
+    covered = bake_files(nearest(texture * gain), scene3d.mesh, coverage, options.format, staging, progress)
     return write_report(
         options,
         staging,
@@ -104,7 +104,7 @@ def plan_traced(options: argparse.Namespace, staging: Path, progress: Progress) 
     """Decide what to model and say so, without doing it. Arguments and errors as `recover.recover`."""
     begun = _start(options, staging, progress)
     progress.expect({stage: progress.expected[stage] for stage in ("rays", "transfer", "plan")})
-    cache = look(begun.scene, begun.mesh, begun.size, None, staging, progress).cache
+    cache = look(begun.scene, begun.scene3d, begun.size, None, staging, progress).cache
     check_exposed(begun.scene, cache)
     decisions = _plan(options, begun, cache, FEW_DIRECTIONS, progress)[2]
     return {
@@ -120,7 +120,7 @@ class _Begun:
     `later` stages from `pace` and `work` and by themselves."""
 
     scene: Scene
-    mesh: Mesh
+    scene3d: Scene3D
     size: int
     texture: Decision
     held: int
@@ -131,13 +131,13 @@ class _Begun:
 
 
 def _start(options: argparse.Namespace, staging: Path, progress: Progress) -> _Begun:
-    scene, mesh, size, texture = prepare(
+    scene, scene3d, size, texture = prepare(
         options, options.priors, PRESETS[options.preset].texture_size, AVERAGED, staging, progress
     )
-    sample = take(scene.frames, mesh)
+    sample = take(scene.frames, scene3d)
     all_pixels, kind = pixels(scene.frames), TEXEL_TYPES[options.format]
     work = Work(len(scene.frames), all_pixels, size**2)
-    around = predict(measure(sample, mesh, Texture(size, kind, GUTTER), staging), work)
+    around = predict(measure(sample, scene3d.mesh, Texture(size, kind, GUTTER), staging), work)
     count = DIRECTIONS[options.preset]
     suns = _fixed(options).get("sun", Fixed(True)).on
     finer = FINER.get(options.preset, 1)
@@ -152,7 +152,7 @@ def _start(options: argparse.Namespace, staging: Path, progress: Progress) -> _B
     if options.command == "recover":
         say_expected(options, expectation, priors, progress)
     expected = expectation.as_dict()
-    return _Begun(scene, mesh, size, texture, resident(), expected, pace, own, later)
+    return _Begun(scene, scene3d, size, texture, resident(), expected, pace, own, later)
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def _plan(
 
     def trace() -> TracedScene:
         finer, frames = FINER.get(options.preset, 1), begun.scene.frames
-        return examine(cache, begun.mesh, frames, count, options.prior_weight, progress, finer)
+        return examine(cache, begun.scene3d, frames, count, options.prior_weight, progress, finer)
 
     of = kept.done("transfer", TracedScene, trace) if kept else trace()
     progress.update("plan", 0.0, 1.0)
@@ -204,7 +204,7 @@ def _plan(
     decisions = [
         begun.texture,
         light("traced", options.irradiance is not None),
-        normals(begun.mesh.normals is not None),
+        normals(begun.scene3d.mesh.normals is not None),
         directions(DIRECTIONS[options.preset], options.preset, len(of.points)),
         samples(len(cache), pixels(begun.scene.frames), cache.prior is not None),
         _memory(options, begun, cache, of, planned.lights(of)),

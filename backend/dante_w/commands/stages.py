@@ -23,8 +23,10 @@ from dante_w.contract.scene_folder import Frame, Scene
 from dante_w.estimate.expectation import Expectation, Work, predict, since_start
 from dante_w.estimate.memory import cache_bytes, resident, room
 from dante_w.estimate.pace import Texture, measure, take
+from dante_w.rays.cast_photos import cast_photos
 from dante_w.rays.footprint import glance
-from dante_w.rays.ray_cache import RayCache, trace
+from dante_w.rays.ray_cache import RayCache
+from dante_w.rays.scene3d import Scene3D
 from dante_w.run.checkpoints import Checkpoints
 from dante_w.run.device import peak_memory
 from dante_w.run.progress import Progress
@@ -49,8 +51,8 @@ LOOKUP = 1024
 
 def prepare(
     options: argparse.Namespace, priors: Path | None, most: int, texel: int, staging: Path, progress: Progress
-) -> tuple[Scene, Mesh, int, Decision]:
-    """The scene, its mesh with UVs, the texels along a side of the texture, at `most` so many unless the user wants more, and
+) -> tuple[Scene, Scene3D, int, Decision]:
+    """The scene, its mesh with UVs ready for rays, the texels along a side of the texture, at `most` so many unless the user wants more, and
     why so many. `texel`: bytes that one takes while the texture is made."""
     scene, mesh = load_scene(options.scene, options.mesh, options.images, priors)
     name = options.mesh or scene.mesh or scene.source
@@ -58,7 +60,8 @@ def prepare(
         mesh = dataclasses.replace(mesh, uvs=None)
     else:
         check_uvs(mesh.uvs, name)
-    seen = glance(mesh, scene.frames)
+    scene3d = Scene3D.build(mesh)
+    seen = glance(scene3d, scene.frames)
     samples = round(seen.share * pixels(scene.frames))
     held = resident() + cache_bytes(samples, any(frame.albedo for frame in scene.frames))
     size, decision = texture_side(seen.footprint, most, options.texture_size, texel, room() - held)
@@ -67,7 +70,9 @@ def prepare(
         mesh = unwrap(mesh, lambda done: progress.update("unwrap", done, 1.0), size)
         write_obj(staging / "mesh.obj", mesh)
         check_uvs(mesh.uvs, name)
-    return scene, mesh, size, decision
+        assert mesh.uvs is not None
+        scene3d = scene3d.with_uvs(mesh.uvs)
+    return scene, scene3d, size, decision
 
 
 def say_plan(options: argparse.Namespace, decisions: list[Decision], progress: Progress) -> None:
@@ -82,12 +87,13 @@ def say_plan(options: argparse.Namespace, decisions: list[Decision], progress: P
 
 
 def expect_no_fit(
-    options: argparse.Namespace, scene: Scene, mesh: Mesh, size: int, staging: Path, progress: Progress
+    options: argparse.Namespace, scene: Scene, scene3d: Scene3D, size: int, staging: Path, progress: Progress
 ) -> None:
     """Begin a run whose texture needs no fit, with what its stages will take."""
     work = Work(len(scene.frames), pixels(scene.frames), size**2)
     texture = Texture(size, TEXEL_TYPES[options.format], GUTTER)
-    begin(progress, predict(measure(take(scene.frames, mesh), mesh, texture, staging), work))
+    sample = take(scene.frames, scene3d)
+    begin(progress, predict(measure(sample, scene3d.mesh, texture, staging), work))
 
 
 def begin(progress: Progress, to_come: dict[str, float]) -> None:
@@ -115,7 +121,7 @@ def pixels(frames: Iterable[Frame]) -> int:
 
 def trace_rays(
     scene: Scene,
-    mesh: Mesh,
+    scene3d: Scene3D,
     visit: Callable[[np.ndarray, np.ndarray, np.ndarray], None],
     staging: Path,
     progress: Progress,
@@ -123,7 +129,7 @@ def trace_rays(
     spill = staging / "rays"
     spill.mkdir()
     progress.update("rays", 0.0, 1.0)
-    return trace(mesh, scene.frames, visit, lambda done: progress.update("rays", done, 1.0), spill)
+    return cast_photos(scene3d, scene.frames, visit, lambda done: progress.update("rays", done, 1.0), spill)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,7 +141,7 @@ class Seen:
 
 
 def look(
-    scene: Scene, mesh: Mesh, size: int, kept: Checkpoints | None, staging: Path, progress: Progress
+    scene: Scene, scene3d: Scene3D, size: int, kept: Checkpoints | None, staging: Path, progress: Progress
 ) -> Seen:
     """Trace the rays and note which of size x size texels they meet, unless that was kept."""
 
@@ -145,7 +151,7 @@ def look(
         def visit(uv: np.ndarray, footprint: np.ndarray, _: np.ndarray) -> None:
             mark(coverage, uv, footprint * size)
 
-        return Seen(trace_rays(scene, mesh, visit, staging, progress), coverage)
+        return Seen(trace_rays(scene, scene3d, visit, staging, progress), coverage)
 
     return kept.done("rays", Seen, work) if kept else work()
 

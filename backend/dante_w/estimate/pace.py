@@ -22,8 +22,10 @@ from dante_w.field.fields import Model, ModelSpec
 from dante_w.field.held_out import SCHEDULE
 from dante_w.field.optimise import LossTerms, Schedule, fit, psnr
 from dante_w.field.presets import sized
-from dante_w.rays.ray_cache import RayCache, face_geometry, footprints, surface_of
-from dante_w.rays.raycast import Frame3D, Raycaster
+from dante_w.rays.cast_photos import footprints, surface
+from dante_w.rays.ray_cache import RayCache, Surface
+from dante_w.rays.raycast import Raycaster
+from dante_w.rays.scene3d import Scene3D
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import Photo, read_photo, write_exr, write_png
 from dante_w.scene.mesh import Mesh
@@ -100,7 +102,7 @@ class Sample:
     hit: float
 
 
-def take(frames: list[Frame], mesh: Mesh) -> Sample:
+def take(frames: list[Frame], scene3d: Scene3D) -> Sample:
     """Read a few of the photos, evenly spread, and cast their rays.
 
     Raises:
@@ -111,11 +113,10 @@ def take(frames: list[Frame], mesh: Mesh) -> Sample:
     chosen = [frames[(2 * i + 1) * len(frames) // (2 * count)] for i in range(count)]
     photos, reading = timed(lambda: [_read(frame) for frame in chosen])
     read = sum(map(_pixels, chosen))
-    frame3d = Frame3D.around(mesh)
-    caster, building = timed(lambda: Raycaster(mesh, frame3d))
-    cache, ray, hit = _cast(chosen, photos, mesh, caster, frame3d)
+    corners, preparing = timed(lambda: surface(scene3d))
+    cache, ray, hit = _cast(chosen, photos, scene3d, corners)
     foreground = sum(int(photo.foreground.sum()) for photo in photos) / read
-    return Sample(cache, caster, reading / read, building, ray, foreground, hit)
+    return Sample(cache, scene3d.caster, reading / read, preparing, ray, foreground, hit)
 
 
 def measure(
@@ -141,13 +142,10 @@ def measure(
 
 
 def _cast(
-    frames: list[Frame], photos: list[Photo], mesh: Mesh, caster: Raycaster, frame3d: Frame3D
+    frames: list[Frame], photos: list[Photo], scene3d: Scene3D, corners: Surface
 ) -> tuple[RayCache, float, float]:
     """Cast the photos' pixels, photo by photo as the run does; returns what they hit, the seconds a ray takes, and the
     share of rays that hit anything."""
-    assert mesh.uvs is not None
-    corners = frame3d.normalise(mesh.vertices)[mesh.faces]
-    geometry = face_geometry(corners, mesh.uvs)
     faces, barys, colours, spans, cast, seconds = [], [], [], [], 0, 0.0
     for frame, photo in zip(frames, photos, strict=True):
         if cast >= RAYS:
@@ -158,24 +156,23 @@ def _cast(
         began = time.perf_counter()
         centres = np.column_stack([pixel % frame.camera.width, pixel // frame.camera.width]) + 0.5
         rays = directions(frame.camera, centres) @ frame.camera_to_world[:3, :3].T
-        hits = caster.cast(frame3d.normalise(frame.camera_to_world[:3, 3]), rays)
+        hits = scene3d.caster.cast(scene3d.frame.normalise(frame.camera_to_world[:3, 3]), rays)
         seconds += (time.perf_counter() - began) * (1.0 + HIT_WORK * len(hits.ray) / max(len(rays), 1))
         cast += len(rays)
         faces.append(hits.face)
         barys.append(hits.bary)
         colours.append(photo.srgb.reshape(-1, 3)[pixel[hits.ray]])
-        spans.append(footprints(frame, rays[hits.ray], hits, *geometry)[1])
+        spans.append(footprints(frame, rays[hits.ray], hits, scene3d)[1])
     hit = sum(map(len, faces)) / max(cast, 1)
     if not any(map(len, faces)):  # the run itself will say so if nothing is ever hit
         faces[0], barys[0], colours[0] = np.zeros(1, np.int32), np.zeros((1, 2)), np.full((1, 3), 0.5)
         spans[0] = np.ones(1)
-    surface = surface_of(mesh, corners, geometry[0])
     colour = np.concatenate(colours).clip(0.0, 1.0).astype(np.float16)
     bary = np.rint(np.concatenate(barys) * 65535.0).astype(np.uint16)
     starts = np.cumsum([0, *map(len, faces)]).astype(np.int64)
     prior = np.pad(colour, [(0, 0), (0, 1)]) if any(frame.albedo for frame in frames) else None
     face, footprint = np.concatenate(faces).astype(np.int32), np.concatenate(spans).astype(np.float16)
-    cache = RayCache(surface, starts, face, bary, colour, prior, footprint)
+    cache = RayCache(corners, starts, face, bary, colour, prior, footprint)
     return cache, seconds / max(cast, 1), hit
 
 

@@ -267,5 +267,5 @@ def _warm(work: Callable[[], object]) -> float:
 
 def _first(cache: RayCache, count: int) -> RayCache:
     """The first `count` samples of a cache, and the photos that they are of."""
-    some = cache.of(np.arange(min(count, len(cache))))
+    some = cache.subset(np.arange(min(count, len(cache))))
     return replace(some, starts=np.unique(some.starts))

@@ -1,63 +1,72 @@
-"""How fine the photos' pixels are on the texture, told by a few rays before all are cast."""
+"""How fine the photos' pixels are on the texture, estimated from a few rays before all are cast."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dante_w.contract.scene_folder import Frame
-from dante_w.rays.ray_cache import GRAZING, face_geometry, footprints
-from dante_w.rays.raycast import Frame3D, Raycaster
+from dante_w.rays.cast_photos import CAST, footprints
+from dante_w.rays.scene3d import Scene3D
 from dante_w.scene.cameras import directions
-from dante_w.scene.mesh import Mesh
 
-#: Evenly spread photos that are looked at, at most, and pixels along either side of each.
-PHOTOS, PIXELS = 64, 48
-#: The part of the samples that may be finer than what is made for them.
-SHARPEST = 0.25
-#: The part of the texture that new charts fill, about.
-FILLED = 0.6
+
+@dataclass(frozen=True)
+class GlanceSettings:
+    """How many rays are cast, and what is made of them.
+
+    Attributes:
+        photos: evenly spread photos that are looked at, at most.
+        pixels: along either side of each of these photos.
+        sharpest: part of the samples that may be finer than the texture made for them: a few pixels from close by
+            are not worth a texture four times as large.
+        filled: part of the texture that new charts fill, about, while the mesh has no UVs yet.
+    """
+
+    photos: int = 64
+    pixels: int = 48
+    sharpest: float = 0.25
+    filled: float = 0.6
+
+
+GLANCE = GlanceSettings()
 
 
 @dataclass(frozen=True)
 class Glance:
-    """What a few pixels tell: the `footprint` (N,) of those that see the mesh, as parts of the texture's side, and their
+    """What a few pixels show: the `footprint` (N,) of those that see the mesh, in parts of the texture's side, and their
     `share` of all pixels."""
 
     footprint: np.ndarray
     share: float
 
 
-def glance(mesh: Mesh, frames: list[Frame]) -> Glance:
-    """Cast a few pixels of some photos, without reading these: masks are not asked. A mesh without UVs is taken to get
+def glance(scene3d: Scene3D, frames: list[Frame], settings: GlanceSettings = GLANCE) -> Glance:
+    """Cast a few pixels of some photos without reading the photos or their masks. A mesh without UVs is taken to get
     ones that spread it evenly."""
-    frame3d = Frame3D.around(mesh)
-    caster = Raycaster(mesh, frame3d)
-    corners = frame3d.normalise(mesh.vertices)[mesh.faces]
-    normals, length = face_geometry(
-        corners, np.zeros((*corners.shape[:2], 2)) if mesh.uvs is None else mesh.uvs
-    )
-    if mesh.uvs is None:
+    if scene3d.mesh.uvs is None:
+        corners = scene3d.corners()
         edges = corners[:, 1:] - corners[:, :1]
         area = 0.5 * float(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum())
-        length = np.full(len(corners), math.sqrt(FILLED / max(area, 1e-12)))
-    found, cast = [np.zeros(0)], 0
-    for number in np.unique(np.linspace(0, len(frames) - 1, PHOTOS).round().astype(int)):
+        uv_scale = np.full(len(corners), math.sqrt(settings.filled / max(area, 1e-12)))
+        scene3d = replace(scene3d, uv_scale=uv_scale)
+    parts, cast = [np.zeros(0)], 0
+    for number in np.unique(np.linspace(0, len(frames) - 1, settings.photos).round().astype(int)):
         frame = frames[number]
-        middle = (np.arange(PIXELS) + 0.5) / PIXELS
+        middle = (np.arange(settings.pixels) + 0.5) / settings.pixels
         columns, rows = np.meshgrid(middle * frame.camera.width, middle * frame.camera.height)
         pixels = np.floor(np.column_stack([columns.ravel(), rows.ravel()])) + 0.5
         rays = directions(frame.camera, pixels) @ frame.camera_to_world[:3, :3].T
-        hits = caster.cast(frame3d.normalise(frame.camera_to_world[:3, 3]), rays)
-        cosine, footprint = footprints(frame, rays[hits.ray], hits, normals, length)
-        found.append(footprint[(cosine > GRAZING) & (length[hits.face] > 0.0)])
+        hits = scene3d.caster.cast(scene3d.frame.normalise(frame.camera_to_world[:3, 3]), rays)
+        cosine, footprint = footprints(frame, rays[hits.ray], hits, scene3d)
+        parts.append(footprint[(cosine > CAST.grazing) & (scene3d.uv_scale[hits.face] > 0.0)])
         cast += len(rays)
-    footprint = np.concatenate(found)
+    footprint = np.concatenate(parts)
     return Glance(footprint, len(footprint) / cast)
 
 
-def sharp(footprint: np.ndarray) -> float:
-    """The footprint that all but `SHARPEST` of some (N,) reach or exceed."""
-    return float(np.quantile(footprint, SHARPEST))
+def sharp(footprint: np.ndarray, settings: GlanceSettings = GLANCE) -> float:
+    """The footprint that all but the `sharpest` of some (N,) reach or exceed."""
+    return float(np.quantile(footprint, settings.sharpest))

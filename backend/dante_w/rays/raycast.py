@@ -32,7 +32,8 @@ class Frame3D:
     extent: float
 
     @classmethod
-    def of(cls, vertices: np.ndarray) -> Frame3D:
+    def bounding(cls, vertices: np.ndarray) -> Frame3D:
+        """The frame of the bounding cube of world points (N, 3)."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         extent = float((high - low).max()) or 1.0
         return cls((low + high) / 2.0 - extent / 2.0, extent)
@@ -42,7 +43,7 @@ class Frame3D:
         """The frame of a mesh's triangles, whatever vertices it has beside."""
         used = np.zeros(len(mesh.vertices), bool)
         used[mesh.faces] = True
-        return cls.of(mesh.vertices[used])
+        return cls.bounding(mesh.vertices[used])
 
     def normalise(self, points: np.ndarray) -> np.ndarray:
         """World points (..., 3) to the unit cube, float64."""

@@ -10,12 +10,11 @@ import numpy as np
 from dante_w.contract.scene_folder import Frame
 from dante_w.contract.vocabulary import COMPONENTS
 from dante_w.rays.ray_cache import RayCache
-from dante_w.rays.raycast import Frame3D, Raycaster
+from dante_w.rays.scene3d import Scene3D
 from dante_w.run.checkpoints import Checkpoints
 from dante_w.run.progress import Progress
 from dante_w.scene.exposure import log_exposures
 from dante_w.scene.held_out import choose_held_out
-from dante_w.scene.mesh import Mesh
 from dante_w.traced.albedo_prior import fuse_priors
 from dante_w.traced.albedo_texture import albedo_texture
 from dante_w.traced.held_out import place
@@ -53,7 +52,7 @@ class SolvedLighting:
 
 def examine(
     cache: RayCache,
-    mesh: Mesh,
+    scene3d: Scene3D,
     frames: list[Frame],
     directions: int,
     prior_weight: float,
@@ -62,13 +61,12 @@ def examine(
 ) -> TracedScene:
     """Average the photos over shading points, `finer` times as many along either side of the texture, and trace light between
     them."""
-    frame3d = Frame3D.around(mesh)
-    cameras = frame3d.normalise(np.stack([frame.camera_to_world[:3, 3] for frame in frames]))
+    cameras = scene3d.frame.normalise(np.stack([frame.camera_to_world[:3, 3] for frame in frames]))
     progress.update("transfer", 0.0, 1.0)
     points, seen = gather(cache, cameras, finer=finer)
     transfer = trace_light_transport(
         points,
-        Raycaster(mesh, frame3d),
+        scene3d.caster,
         cache.surface.uvs.numpy(),
         directions,
         lambda done: progress.update("transfer", done, 1.0),
@@ -85,7 +83,7 @@ def examine(
 def recover_albedo(
     of: TracedScene,
     cache: RayCache,
-    mesh: Mesh,
+    scene3d: Scene3D,
     size: int,
     parts: Components,
     begun: Lighting | None,
@@ -103,7 +101,7 @@ def recover_albedo(
     progress.update("lights", 0.0, 1.0)
     held_out = choose_held_out(photos)
 
-    caster = Raycaster(mesh, Frame3D.around(mesh)) if parts.sun else None
+    caster = scene3d.caster if parts.sun else None
 
     def solve() -> SolvedLighting:
         shown = of.seen.of(~np.isin(of.seen.photo, held_out))
