@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 from dante_w.contract.errors import BadInput
+from dante_w.contract.known_colour import KnownColour
+from dante_w.contract.known_colour import parse_known_colour as parse
 from dante_w.core.color import linear_from_srgb_array
-from dante_w.texture.known_colours import KnownColour, gain, parse
+from dante_w.texture.known_colours import gain
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -17,7 +17,7 @@ def test_papers_rows_are_the_papers_model_and_traced_light_is_the_default():
     for row in ROWS:
         if row.tool != "dante-w" or row.arguments[0] != "recover":
             continue
-        given = cli._parser().parse_args([row.arguments[0], "scene", "--out", "out", *row.arguments[1:]])
+        given = cli.parse([row.arguments[0], "scene", "--out", "out", *row.arguments[1:]]).options
         assert given.irradiance == (None if "traced" in row.name else "field"), row.name
         assert not (given.no_photometric or given.equal_bands) or "traced" not in row.name
         named = row.name.rpartition(", ")[2]

@@ -13,8 +13,10 @@ from typing import Any
 from dante_w import __version__
 from dante_w.commands.worker import run
 from dante_w.contract.errors import BAD_INPUT, DONE
+from dante_w.contract.known_colour import parse_known_colour
 from dante_w.contract.protocol import Failed, encode
-from dante_w.contract.vocabulary import COMPONENTS
+from dante_w.contract.vocabulary import COMPONENTS, DEVICES, FORMATS, LARGEST_TEXTURE, MODELS, PRESETS
+from dante_w.options import Call, RecoverOptions
 from dante_w.run import distributed
 
 #: Words for the components of the light, old ones too.
@@ -23,18 +25,21 @@ COMPONENT_WORDS = sorted({word for each in COMPONENTS for word in (each.name, ea
 
 def main(arguments: Sequence[str] | None = None, leave: Callable[[int], Any] = os._exit) -> int:
     """Parse, run, and return the exit code, or call `leave` with it, see `job.run`."""
-    options = parse(arguments)
-    if options.command == "doctor":
+    call = parse(arguments)
+    if call.command == "doctor":
         from dante_w.commands.doctor import examine
 
-        print(json.dumps(examine()) if options.json else "\n".join(f"{k}: {v}" for k, v in examine().items()))
+        print(json.dumps(examine()) if call.json else "\n".join(f"{k}: {v}" for k, v in examine().items()))
         return DONE
-    return run(options.command, options, leave)
+    return run(call, leave)
 
 
-def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    """The options of a command line; raises SystemExit where it makes no sense."""
-    return _parser().parse_args(arguments)
+def parse(arguments: Sequence[str] | None = None) -> Call:
+    """What a command line asks for; raises SystemExit where it makes no sense."""
+    words = vars(_parser().parse_args(arguments))
+    command, as_json = words.pop("command"), words.pop("json")
+    words = {name: tuple(value) if isinstance(value, list) else value for name, value in words.items()}
+    return Call(command, RecoverOptions(**{"scene": Path(), **words}), as_json)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -52,20 +57,20 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument(
             "--texture-size", type=_size, metavar="N", help="texels a side (default: as fine as the photos)"
         )
-        command.add_argument("--format", choices=("png", "png16", "exr"), default="png")
+        command.add_argument("--format", choices=FORMATS, default="png")
         command.add_argument("--unwrap", action="store_true", help="make new UVs; mesh.obj is written too")
     for command in (recover, average):
         command.add_argument("--out", type=Path, required=True, help="folder for the result")
     for command in (recover, plan):
         command.add_argument("--priors", type=Path, metavar="DIR", help="albedo images named like the photos")
-        command.add_argument("--preset", choices=("draft", "standard", "high", "paper"), default="standard")
+        command.add_argument("--preset", choices=PRESETS, default="standard")
         command.add_argument(
             "--lambda", dest="prior_weight", type=_weight, default=1.0, metavar="X", help="prior weight"
         )
         command.add_argument("--seed", type=int, default=0)
         command.add_argument(
             "--irradiance",
-            choices=("traced", "field"),
+            choices=MODELS,
             help="light traced through the mesh (default), or the paper's field over space",
         )
         for option, name, help_text in (
@@ -85,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     recover.add_argument(
         "--device",
-        choices=("auto", "cpu", "cuda", "mps"),
+        choices=DEVICES,
         default="auto",
         help="for --irradiance field (auto: a GPU if one works); traced light always runs on the CPU",
     )
@@ -96,7 +101,6 @@ def _parser() -> argparse.ArgumentParser:
     ablations = recover.add_argument_group("ablations of the paper")
     ablations.add_argument("--no-photometric", action="store_true", help="lift the priors only (w/o PR)")
     ablations.add_argument("--equal-bands", action="store_true", help="irradiance as fine as albedo")
-    plan.set_defaults(known=[], out=None)
     for command in (recover, average, plan, doctor):
         command.add_argument("--json", action="store_true", help="one JSON object a line")
     return parser
@@ -106,10 +110,8 @@ class _Known(argparse.Action):
     """Appends a `KnownColour`."""
 
     def __call__(self, parser, namespace, values, option_string=None):  # type: ignore[no-untyped-def]
-        from dante_w.texture.known_colours import parse
-
         try:
-            setattr(namespace, self.dest, [*getattr(namespace, self.dest), parse(*values)])
+            setattr(namespace, self.dest, [*getattr(namespace, self.dest), parse_known_colour(*values)])
         except ValueError as error:
             parser.error(f"argument {option_string}: {error}")
 
@@ -123,8 +125,8 @@ class _Parser(argparse.ArgumentParser):
 
 def _size(text: str) -> int:
     size = int(text)
-    if not 1 <= size <= 16384:
-        raise argparse.ArgumentTypeError("a texture is 1 to 16384 texels a side")
+    if not 1 <= size <= LARGEST_TEXTURE:
+        raise argparse.ArgumentTypeError(f"a texture is 1 to {LARGEST_TEXTURE} texels a side")
     return size
 
 

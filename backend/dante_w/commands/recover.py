@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,11 @@ from dante_w.commands.recover_field import plan_field, recover_field
 from dante_w.commands.recover_traced import plan_traced, recover_traced
 from dante_w.commands.stages import bake_files, expect_no_fit, nearest, prepare, trace_rays, write_report
 from dante_w.contract.errors import BadInput
+from dante_w.contract.vocabulary import component
 from dante_w.core.color import linear_from_srgb_array
 from dante_w.estimate.memory import AVERAGED
 from dante_w.field.presets import PRESETS
+from dante_w.options import RecoverOptions
 from dante_w.run import distributed
 from dante_w.run.progress import Progress
 from dante_w.texture.coverage import empty_coverage, mark
@@ -23,7 +24,7 @@ from dante_w.texture.photo_average import PhotoAverage
 __all__ = ["average", "plan", "recover"]
 
 
-def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+def recover(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
     """Recover the albedo texture into `staging`; returns the report. `options` are the command's.
 
     Raises:
@@ -34,39 +35,40 @@ def recover(options: argparse.Namespace, staging: Path, progress: Progress) -> d
         raise BadInput(
             "--known names places in the mesh's own UVs, and --unwrap makes new ones; use one of them."
         )
-    papers = options.no_photometric or options.equal_bands or options.keep_held_out
-    if papers and options.irradiance == "traced":
+    if options.uses_field and options.irradiance == "traced":
         raise BadInput(
             "--no-photometric, --equal-bands and --keep-held-out belong to --irradiance field; leave them out."
         )
-    _check_parts(options, options.irradiance == "field" or papers)
-    if options.irradiance == "field" or papers:
+    _check_components(options)
+    if options.uses_field:
         return recover_field(options, staging, progress)
     return recover_traced(options, staging, progress) if distributed.rank() == 0 else {}
 
 
-def plan(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+def plan(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
     """Decide what `recover` would model and say so, without doing it; returns that. Errors as `recover`."""
-    field = options.irradiance == "field"
-    _check_parts(options, field)
-    return (plan_field if field else plan_traced)(options, staging, progress)
+    _check_components(options)
+    return (plan_field if options.uses_field else plan_traced)(options, staging, progress)
 
 
-def _check_parts(options: argparse.Namespace, field: bool) -> None:
+def _check_components(options: RecoverOptions) -> None:
     """
     Raises:
-        BadInput: parts of the light are named that contradict each other, or that the paper's `field` does not have.
+        BadInput: components of the light are named that contradict each other, or that the paper's `field` does not have.
     """
-    both = sorted(set(options.model) & set(options.leave_out))
+    both = sorted(
+        {component(each).name for each in options.model}
+        & {component(each).name for each in options.leave_out}
+    )
     if both:
         raise BadInput(f"--model and --leave-out both name {both[0]}; give it to one of them.")
-    if field and (options.model or options.leave_out):
+    if options.uses_field and (options.model or options.leave_out):
         raise BadInput(
-            "--model and --leave-out belong to --irradiance traced; the paper's field has no such parts."
+            "--model and --leave-out belong to --irradiance traced; the paper's model has no such components."
         )
 
 
-def average(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+def average(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
     """Average the photos on the texture, light and all: the baseline. Same files and errors as `recover`."""
     scene, scene3d, size, _ = prepare(
         options, None, PRESETS["standard"].texture_size, AVERAGED, staging, progress

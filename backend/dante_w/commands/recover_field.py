@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 from collections.abc import Callable
@@ -47,6 +46,7 @@ from dante_w.field.held_out import held_out_psnr
 from dante_w.field.optimise import LossTerms, fit, photo_ranges
 from dante_w.field.presets import PRESETS, equal_bands, sized
 from dante_w.field.scale_ambiguity import albedo_gain, start_exposures
+from dante_w.options import RecoverOptions
 from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.scene3d import Scene3D
 from dante_w.run import distributed
@@ -60,7 +60,7 @@ from dante_w.scene.held_out import choose_held_out
 TOLD_NOTHING, LITTLE = 0.9, 0.05
 
 
-def recover_field(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+def recover_field(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
     """The paper's model: both fields fitted by gradient descent."""
     device = pick_device(options.device)
     distributed.join(device)
@@ -128,7 +128,7 @@ def recover_field(options: argparse.Namespace, staging: Path, progress: Progress
     )
 
 
-def plan_field(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+def plan_field(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
     """Decide how large the paper's model is and say so, without fitting it. Arguments and errors as `recover.recover`."""
     preset = PRESETS[options.preset]
     scene, scene3d, size, texture = prepare(
@@ -167,7 +167,7 @@ def _plan(
 
 
 def _expect(
-    options: argparse.Namespace,
+    options: RecoverOptions,
     scene: Scene,
     scene3d: Scene3D,
     held_out: np.ndarray,
@@ -199,7 +199,7 @@ def _fit(
     cache: RayCache,
     spec: ModelSpec,
     terms: LossTerms,
-    options: argparse.Namespace,
+    options: RecoverOptions,
     device: torch.device,
     held_out: np.ndarray,
     progress: Progress,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -43,6 +42,7 @@ from dante_w.estimate.memory import (
 from dante_w.estimate.pace import Texture, measure, take
 from dante_w.estimate.traced_pace import TracedPace, TracedWork, measure_traced, predict_traced
 from dante_w.field.presets import PRESETS
+from dante_w.options import RecoverOptions
 from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.scene3d import Scene3D
 from dante_w.run.checkpoints import Checkpoints, open_checkpoints
@@ -65,7 +65,7 @@ GOES_ON = ("draft",)
 FEW_DIRECTIONS = 64
 
 
-def recover_traced(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+def recover_traced(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
     """Light traced through the mesh. Arguments and errors as `recover.recover`."""
     begun = _start(options, staging, progress)
     scene, scene3d = begun.scene, begun.scene3d
@@ -100,7 +100,7 @@ def recover_traced(options: argparse.Namespace, staging: Path, progress: Progres
     )
 
 
-def plan_traced(options: argparse.Namespace, staging: Path, progress: Progress) -> dict[str, Any]:
+def plan_traced(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
     """Decide what to model and say so, without doing it. Arguments and errors as `recover.recover`."""
     begun = _start(options, staging, progress)
     progress.expect({stage: progress.expected[stage] for stage in ("rays", "transfer", "plan")})
@@ -130,7 +130,7 @@ class _Begun:
     later: dict[str, float]
 
 
-def _start(options: argparse.Namespace, staging: Path, progress: Progress) -> _Begun:
+def _start(options: RecoverOptions, staging: Path, progress: Progress) -> _Begun:
     scene, scene3d, size, texture = prepare(
         options, options.priors, PRESETS[options.preset].texture_size, AVERAGED, staging, progress
     )
@@ -149,7 +149,7 @@ def _start(options: argparse.Namespace, staging: Path, progress: Progress) -> _B
     priors = options.prior_weight > 0.0 and any(frame.albedo for frame in scene.frames)
     quality = None if priors else QUALITY["traced"][options.preset]
     expectation = Expectation(progress.seconds | to_come, quality)
-    if options.command == "recover":
+    if options.out is not None:
         say_expected(options, expectation, priors, progress)
     expected = expectation.as_dict()
     return _Begun(scene, scene3d, size, texture, resident(), expected, pace, own, later)
@@ -169,7 +169,7 @@ class _Planned:
 
 
 def _plan(
-    options: argparse.Namespace,
+    options: RecoverOptions,
     begun: _Begun,
     cache: RayCache,
     count: int,
@@ -215,7 +215,7 @@ def _plan(
     return of, planned, decisions
 
 
-def _fixed(options: argparse.Namespace) -> dict[str, Fixed]:
+def _fixed(options: RecoverOptions) -> dict[str, Fixed]:
     """The parts that the preset decides, and the user, who has the last word."""
     by_preset = dict.fromkeys(LEFT_OUT.get(options.preset, ()), Fixed(False, f"the preset {options.preset}"))
     modelled, left_out = (
@@ -240,7 +240,7 @@ def _to_come(begun: _Begun, cache: RayCache, of: TracedScene, planned: _Planned)
 
 
 def _memory(
-    options: argparse.Namespace, begun: _Begun, cache: RayCache, of: TracedScene, lights: int
+    options: RecoverOptions, begun: _Begun, cache: RayCache, of: TracedScene, lights: int
 ) -> Decision:
     """What the run will need at most: while lights are solved for, or while the texture is made."""
     count, photos = DIRECTIONS[options.preset], len(of.cameras)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from dante_w.contract.scene_folder import Frame, Scene
 from dante_w.estimate.expectation import Expectation, Work, predict, since_start
 from dante_w.estimate.memory import cache_bytes, resident, room
 from dante_w.estimate.pace import Texture, measure, take
+from dante_w.options import RecoverOptions
 from dante_w.rays.cast_photos import cast_photos
 from dante_w.rays.footprint import glance
 from dante_w.rays.ray_cache import RayCache
@@ -50,7 +50,7 @@ LOOKUP = 1024
 
 
 def prepare(
-    options: argparse.Namespace, priors: Path | None, most: int, texel: int, staging: Path, progress: Progress
+    options: RecoverOptions, priors: Path | None, most: int, texel: int, staging: Path, progress: Progress
 ) -> tuple[Scene, Scene3D, int, Decision]:
     """The scene, its mesh with UVs ready for rays, the texels along a side of the texture, at `most` so many unless the user wants more, and
     why so many. `texel`: bytes that one takes while the texture is made."""
@@ -75,19 +75,19 @@ def prepare(
     return scene, scene3d, size, decision
 
 
-def say_plan(options: argparse.Namespace, decisions: list[Decision], progress: Progress) -> None:
+def say_plan(options: RecoverOptions, decisions: list[Decision], progress: Progress) -> None:
     """Say what is modelled, and why; a plan alone is what standard output is for."""
     progress.close()
-    if options.json:
+    if progress.as_json:
         progress.say(Planned(tuple(decisions)))
         return
     for line in decisions:
-        out = sys.stdout if options.command == "plan" else sys.stderr
+        out = sys.stdout if options.out is None else sys.stderr
         print(f"{line.what}: {line.choice} ({line.reason}; {line.costs})", file=out, flush=True)
 
 
 def expect_no_fit(
-    options: argparse.Namespace, scene: Scene, scene3d: Scene3D, size: int, staging: Path, progress: Progress
+    options: RecoverOptions, scene: Scene, scene3d: Scene3D, size: int, staging: Path, progress: Progress
 ) -> None:
     """Begin a run whose texture needs no fit, with what its stages will take."""
     work = Work(len(scene.frames), pixels(scene.frames), size**2)
@@ -105,10 +105,10 @@ def begin(progress: Progress, to_come: dict[str, float]) -> None:
 
 
 def say_expected(
-    options: argparse.Namespace, expected: Expectation, priors: bool, progress: Progress
+    options: RecoverOptions, expected: Expectation, priors: bool, progress: Progress
 ) -> dict[str, Any]:
     """Say what the run will take and what its preset reached elsewhere; returns that for the report."""
-    if options.json:
+    if progress.as_json:
         progress.say(expected.message())
     else:
         print(expected.sentence(options.preset, priors), file=sys.stderr, flush=True)
@@ -183,7 +183,7 @@ def nearest(texture: np.ndarray) -> Texels:
     return texels
 
 
-def known_gain(texels: Texels, coverage: Coverage, known: list[KnownColour]) -> np.ndarray:
+def known_gain(texels: Texels, coverage: Coverage, known: Sequence[KnownColour]) -> np.ndarray:
     """The gain (3,) on linear albedo that brings it to the colours that the user knows; 1 if there are none.
 
     Raises:
@@ -235,9 +235,7 @@ def _mapped(path: Path, kind: type, shape: tuple[int, ...]) -> np.ndarray:
     return np.memmap(path, kind, "r+", shape=shape)
 
 
-def write_report(
-    options: argparse.Namespace, staging: Path, progress: Progress, **facts: Any
-) -> dict[str, Any]:
+def write_report(options: RecoverOptions, staging: Path, progress: Progress, **facts: Any) -> dict[str, Any]:
     """Write report.json; returns its content."""
     progress.close()
     report = {
@@ -254,7 +252,7 @@ def write_report(
 
 def _plain(value: Any) -> Any:
     """An option as JSON has it."""
-    if isinstance(value, list):
+    if isinstance(value, (list, tuple)):
         return [_plain(each) for each in value]
     return (
         dataclasses.asdict(value)

@@ -29,8 +29,8 @@ _WINDOWS_NO_MEMORY = (0xC0000017, 0xC000012D)
 
 def main() -> int:
     """Run the command of `sys.argv`; returns its exit code."""
-    options = cli.parse()
-    if options.command == "doctor":
+    call = cli.parse()
+    if call.command == "doctor":
         return cli.main()
     isolated = ["-I"] if sys.flags.isolated else ["-P"]
     command = [sys.executable, *isolated, "-X", f"utf8={sys.flags.utf8_mode}", "-c", _WORK, _SOURCES]
@@ -44,8 +44,8 @@ def main() -> int:
     code = work.wait()
     if DONE <= code - _SAID <= OUT_OF_ROOM:
         return code - _SAID
-    clear(options, work.pid)
-    return fail(options.json, *_meaning(code))
+    clear(call.options, work.pid)
+    return fail(call.json, *_meaning(code))
 
 
 def guarded() -> int:

@@ -6,7 +6,6 @@ a second even while a library computes, because the process then removes its sta
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import mmap
 import os
@@ -15,10 +14,12 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 from dante_w.contract.errors import BUG, CANCELLED, DONE, OUT_OF_ROOM, DanteError, OutOfRoom
 from dante_w.contract.protocol import Done, Failed
+from dante_w.options import Call, RecoverOptions
 from dante_w.run import distributed
 from dante_w.run.progress import Progress
 from dante_w.run.result_folder import abandon, discard, is_full, publish, scratch, stage
@@ -34,11 +35,11 @@ LOADING = 3 << 29
 _NO_MEMORY = ("allocat", "out of memory", "can't start new thread", "failed to map segment", "bad_alloc")
 
 
-def run(command: str, options: argparse.Namespace, leave: Callable[[int], Any] = os._exit) -> int:
+def run(call: Call, leave: Callable[[int], Any] = os._exit) -> int:
     """Run `recover`, `average` or `plan`; returns the exit code, or calls `leave` with it where a thread is still at work."""
     if distributed.rank() > 0:  # the first process speaks
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
-    progress = Progress(options.json)
+    progress, options = Progress(call.json), call.options
     outcome: dict[str, Any] = {}
     finished = threading.Event()
     cancelled = threading.Event()
@@ -52,9 +53,9 @@ def run(command: str, options: argparse.Namespace, leave: Callable[[int], Any] =
 
     def work() -> None:
         try:
-            report = _work(command, options, progress)
+            report = _work(call, progress)
             with publishing:
-                if _leaves_nothing(options):
+                if options.out is None or distributed.rank() > 0:
                     discard(os.getpid())
                 else:
                     publish(options.out)
@@ -77,12 +78,12 @@ def run(command: str, options: argparse.Namespace, leave: Callable[[int], Any] =
     for number in SIGNALS:  # from here on it is decided how this ends
         signal.signal(number, signal.SIG_IGN)
     if "report" in outcome:
-        told = _say_done(command, options, progress, outcome["report"])
+        told = _say_done(call, progress, outcome["report"])
         return DONE if told else _leave(DONE, leave)
     clear(options, os.getpid())
     if cancelled.is_set():
-        return _leave(fail(options.json, CANCELLED, CANCELLED_RUN), leave)
-    code = _explain(options.json, distributed.cause(outcome["error"]))
+        return _leave(fail(call.json, CANCELLED, CANCELLED_RUN), leave)
+    code = _explain(call.json, distributed.cause(outcome["error"]))
     return _leave(code, leave) if worker.is_alive() else code
 
 
@@ -93,30 +94,25 @@ def listen(handler: Callable[..., None]) -> None:
             signal.signal(number, handler)
 
 
-def clear(options: argparse.Namespace, process: int) -> None:
+def clear(options: RecoverOptions, process: int) -> None:
     """Remove what a run in `process` has not finished."""
-    if _leaves_nothing(options):
+    if options.out is None or distributed.rank() > 0:
         discard(process)
     else:
         abandon(options.out)
 
 
-def _leaves_nothing(options: argparse.Namespace) -> bool:
-    return options.command == "plan" or distributed.rank() > 0
-
-
-def _work(command: str, options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
+def _work(call: Call, progress: Progress) -> dict[str, Any]:
     progress.update("scene", 0, 1)
     _make_sure_of_room()
     from dante_w.commands import recover  # torch takes seconds to import; signals already work
 
-    if distributed.rank() > 0 and command != "plan":
-        options.out = scratch()
-    staging = scratch() if command == "plan" else stage(options.out)
-    report: dict[str, Any] = {"recover": recover.recover, "average": recover.average, "plan": recover.plan}[
-        command
-    ](options, staging, progress)
-    return report
+    options = call.options
+    if distributed.rank() > 0 and options.out is not None:
+        options = replace(options, out=scratch())
+    staging = scratch() if options.out is None else stage(options.out)
+    work = {"recover": recover.recover, "average": recover.average, "plan": recover.plan}[call.command]
+    return work(options, staging, progress)
 
 
 def _make_sure_of_room() -> None:
@@ -131,16 +127,16 @@ def _make_sure_of_room() -> None:
         raise OutOfRoom("There is no 1.5 GB of memory to begin with; close other programs.") from error
 
 
-def _say_done(command: str, options: argparse.Namespace, progress: Progress, report: dict[str, Any]) -> bool:
+def _say_done(call: Call, progress: Progress, report: dict[str, Any]) -> bool:
     """Whether anybody still reads."""
-    if options.json:
-        out = "" if command == "plan" else str(options.out.resolve())
+    out = call.options.out
+    if call.json:
         try:
-            progress.say(Done(report, out))
+            progress.say(Done(report, str(out.resolve()) if out else ""))
         except (DanteError, OSError):  # nobody reads any more: the result stands all the same
             return False
-    elif command != "plan":
-        print(f"done: {options.out}")
+    elif out is not None:
+        print(f"done: {out}")
     return True
 
 

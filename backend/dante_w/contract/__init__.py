@@ -6,5 +6,6 @@ Standard library and numpy alone, and only relative imports: the add-on loads th
     scene_folder  the scene on disk
     protocol      the JSON lines of a run, as dataclasses
     vocabulary    presets, models of light, their components, stages, formats, devices
+    known_colour  a spot of known albedo
     text          durations and sizes as people say them
 """

@@ -7,7 +7,6 @@ starts without `--resume`, and when it ends well.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import dataclasses
 import hashlib
@@ -27,6 +26,7 @@ import torch
 
 from dante_w import __version__
 from dante_w.contract.scene_folder import Scene
+from dante_w.options import RecoverOptions
 from dante_w.run.result_folder import CHECKPOINTS
 from dante_w.scene.mesh import Mesh
 
@@ -35,7 +35,7 @@ T = TypeVar("T")
 SECONDS = 20.0
 _KEY, _TREE = "inputs.txt", "tree.json"
 #: Options that change nothing of what is worked out.
-_NO_INPUT = ("out", "json", "resume", "format", "known")
+_NO_INPUT = ("out", "resume", "format", "known")
 
 
 @dataclasses.dataclass
@@ -94,8 +94,9 @@ class Checkpoints:
         self.since = time.monotonic()
 
 
-def open_checkpoints(options: argparse.Namespace, scene: Scene, mesh: Mesh) -> Checkpoints:
+def open_checkpoints(options: RecoverOptions, scene: Scene, mesh: Mesh) -> Checkpoints:
     """The checkpoints of a run with these options, from these files; none yet unless it resumes one just like it."""
+    assert options.out is not None  # a plan alone keeps nothing
     folder = options.out / CHECKPOINTS
     key = _key(options, scene, mesh)
     found = (folder / _KEY).read_bytes() if (folder / _KEY).is_file() else b""
@@ -105,7 +106,7 @@ def open_checkpoints(options: argparse.Namespace, scene: Scene, mesh: Mesh) -> C
     return Checkpoints(folder, key)
 
 
-def _key(options: argparse.Namespace, scene: Scene, mesh: Mesh) -> str:
+def _key(options: RecoverOptions, scene: Scene, mesh: Mesh) -> str:
     """A hash of the version, the options, the poses, the mesh, and the photos' paths, sizes and times."""
     settings = {name: str(value) for name, value in sorted(vars(options).items()) if name not in _NO_INPUT}
     files: Iterable[Path | None] = (

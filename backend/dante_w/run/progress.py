@@ -28,7 +28,7 @@ class Progress:
     def __init__(self, as_json: bool) -> None:
         self.expected: dict[str, float] = {}
         self.seconds: dict[str, float] = {}
-        self._json = as_json
+        self.as_json = as_json
         self._lock = threading.Lock()
         self._stage, self._began, self._written = "", time.monotonic(), 0.0
         self._latest: Step | None = None
@@ -56,7 +56,7 @@ class Progress:
         if self._stage:
             spent = time.monotonic() - self._began
             self.seconds[self._stage] = round(self.seconds.get(self._stage, 0.0) + spent, 3)
-            if not self._json and sys.stderr.isatty():
+            if not self.as_json and sys.stderr.isatty():
                 print(file=sys.stderr)
         self._stage = ""
 
@@ -65,7 +65,7 @@ class Progress:
         self._written = time.monotonic()
         if not self._latest:
             return
-        if self._json:
+        if self.as_json:
             self.say(self._latest)
         elif sys.stderr.isatty():
             sys.stderr.write("\r" + _bar(self._latest))
@@ -73,7 +73,7 @@ class Progress:
 
     def beat(self) -> None:
         """Repeat the latest report if it has been silent for a while."""
-        if self._json and time.monotonic() - self._written >= HEARTBEAT_SECONDS:
+        if self.as_json and time.monotonic() - self._written >= HEARTBEAT_SECONDS:
             self.write()
 
     def say(self, message: Message) -> None:

@@ -7,58 +7,18 @@ what the spots that know it ask for: the geometric mean of gains, whatever the o
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from dante_w.contract.errors import BadInput
+from dante_w.contract.known_colour import KnownColour
 from dante_w.core.color import linear_from_srgb_array
 
 #: Radius of the disc around a spot whose median counts, in sides of the texture; at least one texel.
 RADIUS = 1.0 / 256.0
 #: Darker than this in linear light, half the first step of 8-bit sRGB, is black: no gain brings it anywhere.
 BLACK = 0.5 / 255.0 / 12.92
-
-
-@dataclass(frozen=True)
-class KnownColour:
-    """A spot of the texture whose albedo is known.
-
-    `u`, `v` texture coordinates in [0, 1], v up; `albedo_srgb` the sRGB albedo there, or None for a grey of
-    unknown level.
-    """
-
-    u: float
-    v: float
-    albedo_srgb: tuple[float, float, float] | None
-
-    def __str__(self) -> str:
-        return f"known colour at {self.u:g} {self.v:g}"
-
-
-def parse(text_u: str, text_v: str, text_colour: str) -> KnownColour:
-    """A known colour from the words of `--known U V COLOUR`; COLOUR is `grey` or sRGB `#RRGGBB`.
-
-    Raises:
-        ValueError: one sentence for the user.
-    """
-    words = f"{text_u} {text_v} {text_colour}"
-    try:
-        u, v = float(text_u), float(text_v)
-    except ValueError:
-        u = v = np.nan
-    if not (0.0 <= u <= 1.0 and 0.0 <= v <= 1.0):
-        raise ValueError(f"{words}: U and V are texture coordinates, numbers from 0 to 1")
-    if text_colour == "grey":
-        return KnownColour(u, v, None)
-    if not re.fullmatch("#[0-9a-fA-F]{6}", text_colour):
-        raise ValueError(f"{words}: COLOUR is grey, or an sRGB colour like #7A7A79")
-    red, green, blue = bytes.fromhex(text_colour[1:])
-    if min(red, green, blue) == 0:
-        raise ValueError(f"{words}: a colour with a channel of 0 fixes no gain; choose another spot")
-    return KnownColour(u, v, (red / 255.0, green / 255.0, blue / 255.0))
 
 
 def gain(texture: np.ndarray, seen: np.ndarray, known: Sequence[KnownColour]) -> np.ndarray:
