@@ -1,10 +1,9 @@
 """Speed of a step of the fit: `python3 dev.py bench speed [--device cpu|cuda] [--preset NAME] [--rounds N] [--together N] [--json]`.
 
-A whole step of the preset's model (both encodings, decoders, loss without priors, gradients, Adam) by plain torch and by the product's
-own path on that device, numba on the CPU and Triton on CUDA, then the parts of either. Both paths take turns of --together steps in one run,
-through the same batches of a synthetic scene, as a fit goes through its own, parts turns of one; medians count: so others' work on
-the machine slows all alike. On CUDA, the preset `paper` as
-it is and with albedo to 8192, GPU memory, and a profile by kernel. Needs no data. Prints Markdown tables.
+A whole step of the paper's model (both encodings, decoders, loss without priors, gradients, Adam) by plain torch and by the
+product's own engine on that device: numba on the CPU, Triton on CUDA. The two take turns of --together steps in one
+run, through the same batches of a synthetic scene, and medians count; so other work on the machine slows both alike.
+On CUDA also the preset with albedo to 8192, GPU memory, and a profile by kernel. Needs no data. Prints Markdown tables.
 """
 
 from __future__ import annotations
@@ -22,36 +21,35 @@ from dante_w.field.cpu.step import FusedStep
 from dante_w.field.cuda import grid as triton_grid
 from dante_w.field.cuda.step import TritonStep
 from dante_w.field.fields import Model, ModelSpec
-from dante_w.field.optimise import LossTerms, Step, TorchStep, model_loss
+from dante_w.field.optimise import LossTerms, Step, TorchStep
 from dante_w.field.presets import PRESETS, SMALL_OFFSET, WHITE_LIGHT
 from dante_w.rays.ray_cache import Samples
 from dante_w.run.device import failure
-from measure.cuda_stages import peak_bytes, profile, triton_stages
 from measure.machine import provenance, sentence
-from measure.numba_stages import numba_stages
-from measure.stages import Stage, measure
+from measure.turns import median_seconds
 
 TERMS = LossTerms(white_light=WHITE_LIGHT, small_offset=SMALL_OFFSET)
 PHOTOS = 40
-TORCH, NUMBA, TRITON = "plain torch gather", "numba", "triton"
-STAGES = ("encode 2D", "encode 3D", "decoders", "loss", "backward", "optimiser")
+TORCH, NUMBA, TRITON = "plain torch", "numba", "triton"
 #: Texture coordinates between neighbouring pixels, as on the shared scenes: four texels of 2048.
 SPACING = 4.0 / 2048.0
-#: Steps that are timed together. The ratio depends on it (docs/benchmarks.md): the step that comes after the other path's is slower; on a GPU
-#: a step does not wait for the one before.
+#: Steps that are timed together. The ratio depends on it: the step after the other engine's is slower, and on a GPU a step does
+#: not wait for the one before.
 TOGETHER = 20
 #: Batches that steps go through.
 BATCHES = 8
 #: Texels a side of the finest albedo level of a scene, in the paper.
 FINE = 8192
+#: Steps of which GPU memory and profile are taken, after as many that only warm up, and kernels in the profile.
+PROFILED, KERNELS = 5, 15
 
-Way = Callable[..., Step]
+Engine = Callable[..., Step]
 
 
 def main() -> None:
     options = parse()
     facts = provenance()
-    reason = why_not(options.device)
+    reason = (failure("cuda") or triton_grid.failure()) if options.device == "cuda" else None
     if reason:
         print(f"--device {options.device} could not be run here: {reason}.")
         content: dict[str, Any] = {"could_not_be_run": reason}
@@ -65,17 +63,8 @@ def main() -> None:
     if "full_step_ratio" in content:
         print(f"\nA whole step is {content['full_step_ratio']:.1f} times as fast. {sentence(facts)}")
     if options.json:
-        print(
-            json.dumps(
-                {
-                    "measured": facts,
-                    "device": options.device,
-                    "rounds": options.rounds,
-                    "together": options.together,
-                    **content,
-                }
-            )
-        )
+        setting = {"device": options.device, "rounds": options.rounds, "together": options.together}
+        print(json.dumps({"measured": facts, **setting, **content}))
 
 
 def parse() -> argparse.Namespace:
@@ -84,14 +73,9 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--preset", choices=list(PRESETS), help="default: standard, on CUDA paper")
     parser.add_argument("--batch", type=int, help="samples a step; the preset's by default")
     parser.add_argument("--rounds", type=int, default=5, help="how often each thing is timed")
-    parser.add_argument("--together", type=int, default=TOGETHER, help="steps of either path in a turn")
+    parser.add_argument("--together", type=int, default=TOGETHER, help="steps of either engine in a turn")
     parser.add_argument("--json", action="store_true", help="the last line is one JSON object")
     return parser.parse_args()
-
-
-def why_not(device: str) -> str | None:
-    """Why the paths of a device cannot be timed, or None."""
-    return (failure("cuda") or triton_grid.failure()) if device == "cuda" else None
 
 
 def on_cuda(options: argparse.Namespace) -> dict[str, Any]:
@@ -104,40 +88,32 @@ def on_cuda(options: argparse.Namespace) -> dict[str, Any]:
         spec = replace(preset.model, albedo=replace(preset.model.albedo, finest=finest))
         content = compare(spec, batches, options, TRITON, TritonStep)
         content["peak_gpu_bytes"] = {
-            path: peak_bytes(way, spec, PHOTOS, samples, TERMS)
-            for path, way in ((TORCH, TorchStep), (TRITON, TritonStep))
+            name: peak_bytes(engine, spec, samples)
+            for name, engine in ((TORCH, TorchStep), (TRITON, TritonStep))
         }
         print(table(f"`{name}`, albedo to {finest}", content))
-        peaks = (f"{path} {size / 1e9:.2f} GB" for path, size in content["peak_gpu_bytes"].items())
+        peaks = (f"{name} {size / 1e9:.2f} GB" for name, size in content["peak_gpu_bytes"].items())
         print(f"\nGPU memory at most: {', '.join(peaks)}.\n")
-        print(profile(TritonStep, Model(spec, PHOTOS).to("cuda"), samples, TERMS))
+        print(profile(Model(spec, PHOTOS).to("cuda"), samples))
         found[str(finest)] = content
     first = next(iter(found.values()))
     return {"preset": name, "full_step_ratio": first["full_step_ratio"], "finest": found}
 
 
 def compare(
-    spec: ModelSpec, batches: list[Samples], options: argparse.Namespace, own: str, way: Way
+    spec: ModelSpec, batches: list[Samples], options: argparse.Namespace, name: str, engine: Engine
 ) -> dict[str, Any]:
-    """Seconds and samples per second of whole steps and their parts, by plain torch and by the path called `own`."""
-    samples, rounds, together = batches[0], options.rounds, options.together
-    device, batch = samples.uv.device.type, len(samples.uv)
+    """Seconds and samples per second of whole steps by plain torch and by the engine called `name`."""
+    device, batch, together = batches[0].uv.device.type, len(batches[0].uv), options.together
     torch.manual_seed(0)
     model = Model(spec, PHOTOS).to(device)
-    steps = measure(whole_steps(model, batches, {TORCH: TorchStep, own: way}, together), rounds, device)
-    steps = {path: seconds / together for path, seconds in steps.items()}
-    plain = torch_stages(model, samples)
-    parts = numba_stages(model, samples) if own == NUMBA else triton_stages(model, samples, TERMS, plain)
-    stages = {path: measure(each, rounds, device) for path, each in ((TORCH, plain), (own, parts))}
+    works = whole_steps(model, batches, {TORCH: TorchStep, name: engine}, together)
+    seconds = {each: s / together for each, s in median_seconds(works, options.rounds, device).items()}
     return {
         "batch": batch,
-        "full_step_ratio": steps[TORCH] / steps[own],
-        "step_seconds": steps,
-        "samples_per_second": {path: batch / seconds for path, seconds in steps.items()},
-        "stage_samples_per_second": {
-            path: {name: batch / seconds for name, seconds in each.items()} for path, each in stages.items()
-        },
-        "profile_seconds": stages,
+        "full_step_ratio": seconds[TORCH] / seconds[name],
+        "step_seconds": seconds,
+        "samples_per_second": {each: batch / s for each, s in seconds.items()},
     }
 
 
@@ -160,79 +136,63 @@ def batch_of(count: int, device: str = "cpu", seed: int = 0) -> Samples:
 
 
 def whole_steps(
-    model: Model, batches: list[Samples], ways: dict[str, Way], together: int
-) -> dict[str, Stage]:
-    """`together` whole steps by each of `ways`."""
+    model: Model, batches: list[Samples], engines: dict[str, Engine], together: int
+) -> dict[str, Callable[[], object]]:
+    """`together` whole steps by each of `engines`."""
 
-    def steps(way: Step) -> None:
+    def steps(step: Step) -> None:
         for turn in range(together):
-            way.gradients(batches[turn % len(batches)])
-            way.update(1.0)
+            step.gradients(batches[turn % len(batches)])
+            step.update(1.0)
 
-    parameters = list(model.parameters())
-    return {path: Stage(partial(steps, way(model, TERMS, parameters, 1e-3))) for path, way in ways.items()}
-
-
-def torch_stages(model: Model, samples: Samples) -> dict[str, Stage]:
-    """The parts of a step in plain torch; `loss` is without gradients, `backward` is all of them."""
-    fields = model.albedo, model.irradiance
-    with torch.no_grad():
-        inputs, raw = decoder_inputs(model, samples)
-    known = _Known(model, raw)
-    parameters = list(model.parameters())
-    loss = model_loss(model, samples, TERMS)
-    for parameter, gradient in zip(
-        parameters, torch.autograd.grad(loss, parameters, retain_graph=True), strict=True
-    ):
-        parameter.grad = gradient
-    optimiser = torch.optim.Adam(parameters, lr=1e-3, fused=True)
-    works: dict[str, Callable[[], object]] = {
-        "encode 2D": partial(model.albedo.grid, samples.uv),
-        "encode 3D": partial(model.irradiance.grid, samples.position),
-        "decoders": lambda: [field.decoder(x) for field, x in zip(fields, inputs, strict=True)],
-        "loss": lambda: model_loss(known, samples, TERMS),  # type: ignore[arg-type]
-        "backward": lambda: torch.autograd.grad(loss, parameters, retain_graph=True),
-        "optimiser": optimiser.step,
-    }
-    return {name: Stage(work) for name, work in works.items()}
+    return {name: partial(steps, _start(engine, model)) for name, engine in engines.items()}
 
 
-def decoder_inputs(model: Model, samples: Samples) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
-    """What goes into either decoder (N, K), and what comes out (N, 3)."""
-    light = torch.cat([model.irradiance.grid(samples.position), model.embedding[samples.photo]], dim=1)
-    inputs = [model.albedo.grid(samples.uv), light]
-    return inputs, [model.albedo.decoder(inputs[0]), model.irradiance.decoder(inputs[1])]
+def peak_bytes(engine: Engine, spec: ModelSpec, samples: Samples) -> int:
+    """The most GPU memory that a new model and its fit take in a few steps; the batch is not counted."""
+    device = samples.uv.device
+    before = torch.cuda.memory_allocated(device)
+    step = _start(engine, Model(spec, PHOTOS).to(device))
+    for turn in range(2 * PROFILED):
+        if turn == PROFILED:
+            torch.cuda.reset_peak_memory_stats(device)
+        step.gradients(samples)
+        step.update(1.0)
+    return torch.cuda.max_memory_allocated(device) - before
 
 
-class _Known:
-    """A model whose decoders' values (N, 3) are known."""
+def profile(model: Model, samples: Samples) -> str:
+    """Which kernels a step by Triton spends its time in: torch's own table."""
+    step = _start(TritonStep, model)
+    for _ in range(PROFILED):
+        step.gradients(samples)
+        step.update(1.0)
+    activities = [torch.profiler.ProfilerActivity.CPU, torch.profiler.ProfilerActivity.CUDA]
+    with torch.profiler.profile(activities=activities) as seen:
+        for _ in range(PROFILED):
+            step.gradients(samples)
+            step.update(1.0)
+        torch.cuda.synchronize()
+    by_time = seen.key_averages()
+    return by_time.table(sort_by="self_device_time_total", row_limit=KERNELS, max_name_column_width=60)
 
-    def __init__(self, model: Model, raw: list[torch.Tensor]) -> None:
-        self.offset, self.expose = model.offset, model.expose
-        self._albedo, self._light = raw
 
-    def albedo(self, _: torch.Tensor) -> torch.Tensor:
-        return torch.sigmoid(self._albedo)
-
-    def light(self, *_: torch.Tensor) -> torch.Tensor:
-        return torch.nn.functional.softplus(self._light)
+def _start(engine: Engine, model: Model) -> Step:
+    return engine(model, TERMS, list(model.parameters()), 1e-3)
 
 
 def table(title: str, content: dict[str, Any]) -> str:
-    """Milliseconds and M samples/s of the whole step and its parts, on either path."""
-    batch, steps, stages = content["batch"], content["step_seconds"], content["profile_seconds"]
-    slow, own = steps
-    lines = [
-        f"| {title}, {batch:,} samples | {slow}, ms | M samples/s | {own}, ms | M samples/s | ratio |",
-        "|---|---:|---:|---:|---:|---:|",
-    ]
-    rows = {"**whole step**": steps} | {
-        name: {path: each[name] for path, each in stages.items()} for name in STAGES
-    }
-    for name, seconds in rows.items():
-        cells = (f"{1e3 * each:.1f} | {batch / each / 1e6:.2f}" for each in seconds.values())
-        lines.append(f"| {name} | {' | '.join(cells)} | {seconds[slow] / seconds[own]:.1f} |")
-    return "\n".join(lines)
+    """Milliseconds and M samples/s of a whole step by either engine."""
+    batch, seconds = content["batch"], content["step_seconds"]
+    slow, fast = seconds
+    cells = (f"{1e3 * each:.1f} | {batch / each / 1e6:.2f}" for each in seconds.values())
+    return "\n".join(
+        [
+            f"| {title}, {batch:,} samples | {slow}, ms | M samples/s | {fast}, ms | M samples/s | ratio |",
+            "|---|---:|---:|---:|---:|---:|",
+            f"| whole step | {' | '.join(cells)} | {seconds[slow] / seconds[fast]:.1f} |",
+        ]
+    )
 
 
 if __name__ == "__main__":

@@ -62,7 +62,6 @@ _FIELD_KNOBS: dict[str, list[Value]] = {
         for n, table in ((512, 15), (1024, 17), (2048, 19), (4096, 21))
     ],
     "albedo-table": [(f"2^{n}", {"model.albedo.log2_table": n}) for n in (17, 19, 21)],
-    "albedo": [("hash", {}), ("pyramid", {"albedo": "pyramid"})],
     "albedo-levels": [(f"{n}", {"model.albedo.levels": n}) for n in (8, 12, 16)],
     "mlp-width": [(f"{n}", {"model.hidden": n}) for n in (16, 32, 64)],
     "irradiance-finest": [(f"{n}", {"model.irradiance.finest": n}) for n in (8, 16, 32)],

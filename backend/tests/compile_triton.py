@@ -19,7 +19,7 @@ TYPES = {
     "root": "fp32",
 }
 TYPES |= {"mean": "*bf16", "square": "*bf16"}
-CONSTANTS = {"shift": 0.0, "dimensions": 3, "features": 2, "width": 2, "block": 128}
+CONSTANTS = {"dimensions": 3, "features": 2, "width": 2, "block": 128}
 
 for name in ("encode_kernel", "scatter_kernel", "adam_kernel"):
     kernel = getattr(triton_kernels, name)

@@ -13,7 +13,6 @@ SPECS = [
     GridSpec(2, levels=4, features=2, coarsest=3, finest=40, log2_table=8),
     GridSpec(3, levels=4, features=2, coarsest=2, finest=17, log2_table=9),
     GridSpec(2, levels=1, features=3, coarsest=5, finest=5, log2_table=4),
-    GridSpec(2, levels=3, features=3, coarsest=4, finest=16, log2_table=8, centred=True),
 ]
 
 
@@ -21,10 +20,8 @@ def brute_force(point: np.ndarray, tables: np.ndarray, spec: GridSpec) -> list[f
     """Eq. 2 to 4 of the paper for one point, in plain Python integers and floats."""
     result, start = [], 0
     for resolution, entries in zip(spec.resolutions, spec.entries, strict=True):
-        side = resolution if spec.centred else resolution + 1
-        place = [
-            min(max(c * resolution - 0.5, 0), side - 1) if spec.centred else c * resolution for c in point
-        ]
+        side = resolution + 1
+        place = [c * resolution for c in point]
         low = [min(int(c), side - 2) for c in place]
         features = np.zeros(spec.features)
         for corner in range(2**spec.dimensions):
@@ -82,8 +79,7 @@ def by_kernels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The encoding (N, L * F), block by block, and the tables' gradient for upstream gradients (N, L * F)."""
     offsets = np.cumsum([0, *spec.entries])
-    shift = np.float32(0.5 if spec.centred else 0.0)
-    grid = Grid(tables, np.array(spec.resolutions, np.float32), offsets, shift)
+    grid = Grid(tables, np.array(spec.resolutions, np.float32), offsets)
     blocks = -(-len(points) // BLOCK)
     encoded, rows = np.empty((2, blocks, spec.width, BLOCK), np.float32)
     entry, weight = (np.empty((2**spec.dimensions, BLOCK), kind) for kind in (np.uint32, np.float32))
@@ -96,7 +92,7 @@ def by_kernels(
     gradient = np.zeros_like(tables)
     for level, resolution in enumerate(grid.resolutions):
         own = gradient[offsets[level] : offsets[level + 1]]
-        scatter(points, resolution, shift, rows, level * spec.features, own)
+        scatter(points, resolution, rows, level * spec.features, own)
     return encoded.transpose(0, 2, 1).reshape(-1, spec.width)[: len(points)], gradient
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 from dante_w.field.presets import LEAST_GAP, PRESETS, sized
-from dante_w.field.pyramid import PyramidSpec
 from dante_w.rays.ray_cache import RayCache, Surface
 
 STANDARD = PRESETS["standard"].model
@@ -55,8 +54,3 @@ def test_growth_and_gap_stay(name, texels):
     assert got == pytest.approx(wanted, rel=0.2)
     assert small.albedo.finest >= min(LEAST_GAP * small.irradiance.finest, model.albedo.finest)
     assert dataclasses.replace(small, albedo=model.albedo) == model
-
-
-def test_pyramids_too():
-    model = dataclasses.replace(STANDARD, albedo=PyramidSpec(16, 2048))
-    assert sized(model, 4096, seen_at(4.0)).albedo == PyramidSpec(16, 512)

@@ -3,11 +3,10 @@
     python benchmarks/methods/variant.py '{"schedule.steps": 250}' recover SCENE --irradiance field --out DIR
 
 is `dante-w recover SCENE --irradiance field --out DIR` with 250 steps. A change is a field of `Preset`, dotted where it
-lies deeper; one of four things that are no setting of the product:
+lies deeper; one of three things that are no setting of the product:
 
     ray_fraction: a random part of the traced samples, (0, 1], is all that the fit gets to see
     cache_share: part of the free memory that the ray cache may fill, [0, 1]; 0 puts it into files
-    albedo: "pyramid" keeps it in one, as fine as the preset's hash encoding, fitted at three times its rate
     decoder_precision: "bfloat16" runs the decoders' matrix products so while fitting, not in the bake
 
 or a number of traced light (`CONSTANTS`), which no preset has but its directions.
@@ -29,7 +28,6 @@ from dante_w.commands import cli, recover_field, recover_traced, stages
 from dante_w.contract.errors import BAD_INPUT
 from dante_w.field.fields import Model, ModelSpec
 from dante_w.field.presets import PRESETS, Preset
-from dante_w.field.pyramid import PyramidSpec
 from dante_w.rays import cast_photos
 from dante_w.rays.ray_cache import RayCache
 from dante_w.traced import light_transport as transfer
@@ -42,10 +40,8 @@ FOLLOWERS: dict[str, tuple[str, Callable[[int], int]]] = {
     "schedule.steps": ("final_pass.steps", lambda steps: steps // 4),
     "schedule.batch": ("final_pass.batch", lambda batch: batch),
 }
-OUTSIDE = ("ray_fraction", "cache_share", "albedo", "decoder_precision")
-RAY_FRACTION, CACHE_SHARE, ALBEDO, DECODER_PRECISION = OUTSIDE
-#: Learning rates of a pyramid beside those of a hash encoding: without decoder, it wants more.
-PYRAMID_RATE = 3.0
+OUTSIDE = ("ray_fraction", "cache_share", "decoder_precision")
+RAY_FRACTION, CACHE_SHARE, DECODER_PRECISION = OUTSIDE
 #: Directions of traced light, whatever the preset; and where its other numbers stand.
 DIRECTIONS = "traced.directions"
 CONSTANTS: dict[str, tuple[ModuleType, str]] = {
@@ -106,9 +102,6 @@ def altered(preset: Preset, changes: Mapping[str, Any]) -> Preset:
         elif name == CACHE_SHARE:
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
                 raise ValueError(f"{name} is {value!r} and must be from 0 to 1")
-        elif name == ALBEDO:
-            if value not in ("hash", "pyramid"):
-                raise ValueError(f"{name} is {value!r} and must be hash or pyramid")
         elif name == DECODER_PRECISION:
             if value not in ("float32", "bfloat16"):
                 raise ValueError(f"{name} is {value!r} and must be float32 or bfloat16")
@@ -125,22 +118,7 @@ def altered(preset: Preset, changes: Mapping[str, Any]) -> Preset:
             inside.setdefault(follower, rule(inside[name]))
     for name, value in inside.items():
         preset = _replaced(preset, name.split("."), value)
-    return with_pyramid(preset) if changes.get(ALBEDO) == "pyramid" else preset
-
-
-def with_pyramid(preset: Preset) -> Preset:
-    """The preset with its albedo in a pyramid."""
-    grid = preset.model.albedo
-    if isinstance(grid, PyramidSpec):
-        return preset
-    model = dataclasses.replace(preset.model, albedo=PyramidSpec(grid.coarsest, grid.finest))
-    passes = {
-        name: dataclasses.replace(
-            getattr(preset, name), learning_rate=PYRAMID_RATE * getattr(preset, name).learning_rate
-        )
-        for name in ("schedule", "final_pass")
-    }
-    return dataclasses.replace(preset, model=model, **passes)
+    return preset
 
 
 def fields(preset: Any, prefix: str = "") -> dict[str, Any]:

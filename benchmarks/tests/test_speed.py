@@ -16,7 +16,7 @@ from dante_w.field.cpu.step import FusedStep
 from dante_w.field.fields import Model, ModelSpec
 from dante_w.field.hash_encoding import GridSpec
 from dante_w.field.optimise import TorchStep
-from measure.stages import Stage, measure
+from measure.turns import median_seconds
 
 SPEC = ModelSpec(GridSpec(2, 3, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 10), hidden=8, embedding=2)
 
@@ -37,11 +37,8 @@ def test_the_last_line_has_every_figure(
     rates = found["samples_per_second"]
     assert found["full_step_ratio"] == pytest.approx(rates[speed.NUMBA] / rates[speed.TORCH])
     assert found["batch"] == 300
-    for path in (speed.TORCH, speed.NUMBA):
-        assert tuple(found["profile_seconds"][path]) == speed.STAGES
-        for stage, seconds in found["profile_seconds"][path].items():
-            assert found["stage_samples_per_second"][path][stage] == pytest.approx(300 / seconds)
-    assert all(f"| {stage} |" in out for stage in speed.STAGES)
+    assert all(rates[name] == pytest.approx(300 / found["step_seconds"][name]) for name in rates)
+    assert "| whole step |" in out
 
 
 def test_both_paths_compute_the_same_step() -> None:
@@ -65,13 +62,9 @@ def test_works_take_turns_and_the_median_counts(monkeypatch: pytest.MonkeyPatch)
         calls.append(name)
         now[0] += next(lengths[name])
 
-    def before(name: str) -> None:
-        calls.append(f"before {name}")
-        now[0] += 100.0
-
-    stages = {name: Stage(partial(work, name), partial(before, name)) for name in "ab"}
-    assert measure(stages, 3) == {"a": 2.0, "b": 7.0}
-    assert calls == ["before a", "a", "before b", "b"] * 4
+    works = {name: partial(work, name) for name in "ab"}
+    assert median_seconds(works, 3) == {"a": 2.0, "b": 7.0}
+    assert calls == ["a", "b"] * 4
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

@@ -61,7 +61,6 @@ def test_the_presets_themselves_follow_that_rule():
         ({"white_light": "much"}, "must be of type float"),
         ({"ray_fraction": 0}, "above 0 and at most 1"),
         ({"decoder_precision": "float8"}, "must be float32 or bfloat16"),
-        ({"albedo": "painted"}, "must be hash or pyramid"),
         ({"traced.side": 0}, "must be a whole number above 0"),
     ],
 )

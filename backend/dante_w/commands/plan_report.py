@@ -10,7 +10,6 @@ from dante_w.contract.protocol import YOU_CHOSE, Decision
 from dante_w.contract.text import duration, gigabytes
 from dante_w.estimate.memory import TRANSFER
 from dante_w.field.fields import ModelSpec
-from dante_w.field.pyramid import PyramidSpec
 from dante_w.rays.footprint import sharp
 from dante_w.rays.ray_cache import sample_bytes
 
@@ -90,11 +89,11 @@ def samples(count: int, pixels: int, prior: bool) -> Decision:
 
 def representation(spec: ModelSpec) -> Decision:
     """What the paper's model keeps its albedo in."""
-    grid, kind = spec.albedo_grid, "pyramid" if isinstance(spec.albedo, PyramidSpec) else "hash encoding"
+    grid = spec.albedo
     return Decision(
         "albedo",
-        f"{kind} to {grid.finest}",
-        "a pyramid of textures as fine was 2 to 3 dB worse on both objects that it was tried on",
+        f"hash encoding to {grid.finest}",
+        "the paper's model keeps albedo in one",
         f"{sum(grid.entries) * grid.features / 1e6:.1f} million numbers",
     )
 

@@ -56,5 +56,5 @@ def lights_bytes(observations: int, lights: int, directions: int, photos: int) -
 
 def fit_bytes(spec: ModelSpec) -> int:
     """Fitting the paper's model, whose decoders are small beside its grids."""
-    grids = (spec.albedo_grid, spec.irradiance)
+    grids = (spec.albedo, spec.irradiance)
     return PARAMETER * sum(sum(grid.entries) * grid.features for grid in grids)

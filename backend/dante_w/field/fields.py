@@ -13,39 +13,30 @@ from torch import nn
 from dante_w.field.cpu import step as fused
 from dante_w.field.cuda import grid as triton_grid
 from dante_w.field.hash_encoding import GridSpec, HashGrid
-from dante_w.field.pyramid import LevelSum, PyramidSpec
 
 
 @dataclass(frozen=True)
 class ModelSpec:
     """What the model is made of.
 
-    albedo, irradiance: their encodings. The gap between their finest resolutions is what separates them. A pyramid
-    in place of a hash encoding needs no decoder.
+    albedo, irradiance: their encodings. The gap between their finest resolutions is what separates them.
     hidden: width of the one hidden layer in either decoder.
     embedding: length of the per-photo embedding e_k.
     """
 
-    albedo: GridSpec | PyramidSpec
+    albedo: GridSpec
     irradiance: GridSpec
     hidden: int = 64
     embedding: int = 8
 
-    @property
-    def albedo_grid(self) -> GridSpec:
-        """The grid of the albedo, whichever it is."""
-        return self.albedo.grid if isinstance(self.albedo, PyramidSpec) else self.albedo
-
 
 class AlbedoField(nn.Module):
-    """a = sigmoid(MLP(hash2D(u))), Eq. 3, or the sigmoid of a pyramid's sum: texture coordinates (N, 2) to albedo
-    (N, 3) in (0, 1)."""
+    """a = sigmoid(MLP(hash2D(u))), Eq. 3: texture coordinates (N, 2) to albedo (N, 3) in (0, 1)."""
 
-    def __init__(self, spec: GridSpec | PyramidSpec, hidden: int) -> None:
+    def __init__(self, grid: GridSpec, hidden: int) -> None:
         super().__init__()
-        pyramid = isinstance(spec, PyramidSpec)
-        self.grid = HashGrid(spec.grid if isinstance(spec, PyramidSpec) else spec)
-        self.decoder = LevelSum() if pyramid else _decoder(self.grid.spec.width, hidden)
+        self.grid = HashGrid(grid)
+        self.decoder = _decoder(grid.width, hidden)
 
     def forward(self, uv: torch.Tensor) -> torch.Tensor:
         return torch.sigmoid(_decoded(self.grid, self.decoder, uv))

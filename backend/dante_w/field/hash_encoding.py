@@ -26,7 +26,6 @@ class GridSpec:
     levels: L; features: F per level.
     coarsest, finest: resolutions of the first and last level; between them they grow by a constant factor b.
     log2_table: a level has at most 2^log2_table entries.
-    centred: values sit at the centres of N^D texels, as in a texture, instead of at (N + 1)^D vertices.
     """
 
     dimensions: int
@@ -35,7 +34,6 @@ class GridSpec:
     coarsest: int
     finest: int
     log2_table: int
-    centred: bool = False
 
     @property
     def width(self) -> int:
@@ -55,7 +53,7 @@ class GridSpec:
     @property
     def sides(self) -> list[int]:
         """Values along an axis, per level."""
-        return [n if self.centred else n + 1 for n in self.resolutions]
+        return [n + 1 for n in self.resolutions]
 
     @property
     def entries(self) -> list[int]:
@@ -84,7 +82,7 @@ def encode_reference(points: torch.Tensor, tables: torch.Tensor, spec: GridSpec)
     points = points.to(torch.promote_types(tables.dtype, torch.float32)).nan_to_num(0.0).clamp(0.0, 1.0)
     start, encoded = 0, []
     for resolution, side, entries in zip(spec.resolutions, spec.sides, spec.entries, strict=True):
-        scaled = (points * resolution - 0.5).clamp(0.0, side - 1) if spec.centred else points * resolution
+        scaled = points * resolution
         # the far edge belongs to the last cell
         low = scaled.floor().clamp_max(side - 2)
         fraction, low = scaled - low, low.long()

@@ -10,7 +10,6 @@ import numpy as np
 from dante_w.field.fields import ModelSpec
 from dante_w.field.hash_encoding import GridSpec
 from dante_w.field.optimise import Schedule
-from dante_w.field.pyramid import PyramidSpec
 from dante_w.rays.footprint import sharp
 from dante_w.rays.ray_cache import RayCache
 
@@ -58,8 +57,7 @@ def _sized(albedo_finest: int, log2_table: int, steps: int, batch: int, texture_
 
 def equal_bands(model: ModelSpec) -> ModelSpec:
     """The paper's ablation: irradiance with the albedo's resolutions, so that nothing tells them apart."""
-    albedo = model.albedo_grid
-    fine = replace(model.irradiance, levels=albedo.levels, finest=albedo.finest)
+    fine = replace(model.irradiance, levels=model.albedo.levels, finest=model.albedo.finest)
     return replace(model, irradiance=fine)
 
 
@@ -72,7 +70,7 @@ def sized(model: ModelSpec, texture_size: int, cache: RayCache) -> ModelSpec:
         some = cache.footprint[:: max(len(cache) // LOOKED_AT, 1)].astype(np.float32)
         finest = min(finest, math.ceil(1.0 / max(sharp(some), 1.0 / finest)))
     finest = max(finest, min(albedo.finest, LEAST_GAP * model.irradiance.finest), albedo.coarsest)
-    if isinstance(albedo, PyramidSpec) or albedo.levels == 1:
+    if albedo.levels == 1:
         return replace(model, albedo=replace(albedo, finest=finest))
     growth = math.log(albedo.finest / albedo.coarsest) / (albedo.levels - 1)
     levels = 1 + round(math.log(finest / albedo.coarsest) / growth)

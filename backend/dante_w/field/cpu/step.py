@@ -27,7 +27,6 @@ from dante_w.field.cpu.kernels.decoder import OUTPUTS, Decoder
 from dante_w.field.cpu.kernels.grid import Grid, scatter
 from dante_w.field.cpu.kernels.loss import Weights
 from dante_w.field.gradients import Gradients
-from dante_w.field.pyramid import LevelSum
 
 if TYPE_CHECKING:
     from dante_w.field.fields import Model
@@ -46,7 +45,7 @@ EXTREME_EXPOSURE = 20.0
 def computes(grid: HashGrid, decoder: torch.nn.Module) -> bool:
     """Whether these kernels know such a field, where it is."""
     tables = grid.tables
-    known = type(decoder) in (torch.nn.Sequential, LevelSum)
+    known = type(decoder) is torch.nn.Sequential
     return known and tables.device.type == "cpu" and tables.dtype == torch.float32
 
 
@@ -209,7 +208,7 @@ def _add_level(
 ) -> None:
     """What rows, from the first of the grid on, say of the entries of one level."""
     row = first_row + level * gradient.shape[1]
-    scatter(points, grid.resolutions[level], grid.shift, rows, row, gradient)
+    scatter(points, grid.resolutions[level], rows, row, gradient)
 
 
 def _add_photos(photo: np.ndarray, rows: np.ndarray, first_row: int, _: int, gradient: np.ndarray) -> None:
@@ -241,18 +240,14 @@ def _batch(samples: Samples) -> Batch:
 def grid_of(grid: HashGrid) -> Grid:
     spec = grid.spec
     offsets = np.cumsum([0, *spec.entries])
-    shift = np.float32(0.5 if spec.centred else 0.0)
-    return Grid(_array(grid.tables), np.array(spec.resolutions, np.float32), offsets, shift)
+    return Grid(_array(grid.tables), np.array(spec.resolutions, np.float32), offsets)
 
 
 def decoder_of(decoder: torch.nn.Module) -> Decoder:
     """The layers as the kernels take them: the second one is a copy, with a row of zeros added."""
-    if isinstance(decoder, torch.nn.Sequential):
-        w1, b1, w2, b2 = (_array(parameter) for parameter in decoder.parameters())
-        w2, b2 = (np.concatenate([part, np.zeros_like(part[: OUTPUTS - len(part)])]) for part in (w2, b2))
-        return Decoder(w1, b1, w2, b2)
-    shapes = (0, 0), (0,), (OUTPUTS, 0), (OUTPUTS,)
-    return Decoder(*(np.zeros(shape, np.float32) for shape in shapes))
+    w1, b1, w2, b2 = (_array(parameter) for parameter in decoder.parameters())
+    w2, b2 = (np.concatenate([part, np.zeros_like(part[: OUTPUTS - len(part)])]) for part in (w2, b2))
+    return Decoder(w1, b1, w2, b2)
 
 
 def _stacked(decoder: Decoder, count: int) -> Decoder:

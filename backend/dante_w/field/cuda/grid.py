@@ -47,7 +47,6 @@ def failure() -> str | None:
             torch.tensor([[1, 0, 4]], device="cuda"),
             encoded,
             1,
-            0.0,
             2,
             1,
             1,
@@ -115,10 +114,10 @@ def groups_of(spec: GridSpec) -> list[Group]:
     return found
 
 
-def _constants(spec: GridSpec) -> tuple[float, int, int, int, int]:
+def _constants(spec: GridSpec) -> tuple[int, int, int, int]:
     """The compile-time arguments of the kernels."""
     width = 1 << (spec.features - 1).bit_length()
-    return 0.5 if spec.centred else 0.0, spec.dimensions, spec.features, width, BLOCK
+    return spec.dimensions, spec.features, width, BLOCK
 
 
 @cache

@@ -20,7 +20,6 @@ def encode_kernel(  # type: ignore[no-untyped-def]
     levels,
     encoded,
     count,
-    shift: tl.constexpr,
     dimensions: tl.constexpr,
     features: tl.constexpr,
     width: tl.constexpr,
@@ -31,7 +30,7 @@ def encode_kernel(  # type: ignore[no-untyped-def]
     Args:
         tables: (entries of all levels, F) float32.
         levels: (L, 3) int64: resolution, first entry and number of entries.
-        count: N. shift: 0.5 where values sit at texel centres, else 0.
+        count: N.
         width: the least power of two from F up. block: points of a program.
     """
     level = tl.program_id(1)
@@ -41,7 +40,7 @@ def encode_kernel(  # type: ignore[no-untyped-def]
     known = (sample < count)[:, None] & (feature < features)[None, :]
     total = tl.zeros((block, width), tl.float32)
     for corner in tl.static_range(1 << dimensions):
-        entry, weight = _corner(points, levels, level, sample, count, corner, shift, dimensions)
+        entry, weight = _corner(points, levels, level, sample, count, corner, dimensions)
         place = entry.to(tl.int64)[:, None] * features + feature[None, :]
         total += weight[:, None] * tl.load(tables + start * features + place, known, 0.0)
     columns = tl.num_programs(1) * features
@@ -58,7 +57,6 @@ def scatter_kernel(  # type: ignore[no-untyped-def]
     columns,
     gradient,
     count,
-    shift: tl.constexpr,
     dimensions: tl.constexpr,
     features: tl.constexpr,
     width: tl.constexpr,
@@ -78,20 +76,18 @@ def scatter_kernel(  # type: ignore[no-untyped-def]
     place = sample.to(tl.int64)[:, None] * columns + level * features + feature[None, :]
     own = tl.load(upstream + place, known, 0.0)
     for corner in tl.static_range(1 << dimensions):
-        entry, weight = _corner(points, levels, level, sample, count, corner, shift, dimensions)
+        entry, weight = _corner(points, levels, level, sample, count, corner, dimensions)
         place = entry.to(tl.int64)[:, None] * features + feature[None, :]
         tl.atomic_add(gradient + start * features + place, weight[:, None] * own, known, sem="relaxed")
 
 
 @triton.jit
 def _corner(  # type: ignore[no-untyped-def]
-    points, levels, level, sample, count, corner: tl.constexpr, shift: tl.constexpr, dimensions: tl.constexpr
+    points, levels, level, sample, count, corner: tl.constexpr, dimensions: tl.constexpr
 ):
     """Entry in the level's table (block,) uint32, and weight, of one corner of the cells that points lie in."""
     resolution, entries = tl.load(levels + 3 * level), tl.load(levels + 3 * level + 2)
     side = resolution + 1
-    if shift > 0.0:
-        side = resolution
     whole = side * side
     if dimensions == 3:
         whole *= side
@@ -101,8 +97,7 @@ def _corner(  # type: ignore[no-untyped-def]
     for axis in tl.static_range(dimensions):
         point = tl.load(points + sample.to(tl.int64) * dimensions + axis, sample < count, 0.0)
         point = tl.where(point > 0.0, tl.minimum(point, 1.0), 0.0)  # what is not a number is 0
-        scaled = point * resolution.to(tl.float32) - shift
-        scaled = tl.minimum(tl.maximum(scaled, 0.0), (side - 1).to(tl.float32))
+        scaled = point * resolution.to(tl.float32)
         cell = tl.minimum(
             scaled.to(tl.int32), (side - 2).to(tl.int32)
         )  # the far edge belongs to the last cell

@@ -1,4 +1,4 @@
-"""Decoders, forward and backward, for a block of samples: one hidden layer of ReLUs, or the sum of a pyramid's levels.
+"""Decoders, forward and backward, for a block of samples: one hidden layer of ReLUs.
 
 Matrix products go by tiles of `TILE` x `TILE` weights, which stay in registers while a loop runs along the samples.
 They index flat arrays, so that LLVM sees rows a constant apart and needs no checks whether they overlap.
@@ -22,9 +22,7 @@ OUTPUTS = 4
 
 class Decoder(NamedTuple):
     """out = W2 relu(W1 x + b1) + b2: `w1` (H, K), `b1` (H,), `w2` (OUTPUTS, H), `b2` (OUTPUTS,), or as many gradients.
-    The last row of W2 and b2 is 0.
-
-    With H = 0 there is no layer and out is the sum of x's rows, three by three."""
+    The last row of W2 and b2 is 0."""
 
     w1: np.ndarray
     b1: np.ndarray
@@ -35,12 +33,6 @@ class Decoder(NamedTuple):
 @njit_fast
 def decode(decoder, x, hidden, out):  # type: ignore[no-untyped-def]
     """Decode x (K, BLOCK) into `hidden` (H, BLOCK) and `out` (OUTPUTS, BLOCK)."""
-    if len(hidden) == 0:
-        out[:] = _ZERO
-        for k in range(len(x)):
-            for s in range(BLOCK):
-                out[k % 3, s] += x[k, s]
-        return
     _fill_rows(decoder.b1, hidden)
     _add_product(decoder.w1, x.reshape(-1), hidden.reshape(-1))
     for h in range(len(hidden)):
@@ -56,11 +48,6 @@ def decode_backward(decoder, x, hidden, upstream, d_hidden, d_x, gradient):  # t
 
     d_hidden: (H, BLOCK), scratch.
     """
-    if len(hidden) == 0:
-        for k in range(len(x)):
-            for s in range(BLOCK):
-                d_x[k, s] = upstream[k % 3, s]
-        return
     _add_sums(upstream, gradient.b2)
     _add_outer(upstream.reshape(-1), hidden.reshape(-1), gradient.w2)
     d_hidden[:] = _ZERO

@@ -19,16 +19,15 @@ _PRIME_Y, _PRIME_Z = np.uint32(2654435761), np.uint32(805459861)
 
 class Grid(NamedTuple):
     """`tables` (entries of all levels, F) float32; level l has `resolutions`[l] and the entries from `offsets`[l] to
-    `offsets`[l + 1]; `shift` is 0.5 where values sit at texel centres, else 0."""
+    `offsets`[l + 1]."""
 
     tables: np.ndarray
     resolutions: np.ndarray
     offsets: np.ndarray
-    shift: np.float32
 
 
 @njit_fast
-def corners(points, resolution, shift, entries, entry, weight):  # type: ignore[no-untyped-def]
+def corners(points, resolution, entries, entry, weight):  # type: ignore[no-untyped-def]
     """The corners of the cells that points lie in.
 
     Args:
@@ -36,19 +35,19 @@ def corners(points, resolution, shift, entries, entry, weight):  # type: ignore[
         entry, weight: (2^D, BLOCK) to write: uint32 places in the level's table, and float32 weights.
     """
     if len(points) == 2:
-        _corners_2d(points, resolution, shift, entries, entry, weight)
+        _corners_2d(points, resolution, entries, entry, weight)
     else:
-        _corners_3d(points, resolution, shift, entries, entry, weight)
+        _corners_3d(points, resolution, entries, entry, weight)
 
 
 @njit_fast
-def _corners_2d(points, resolution, shift, entries, entry, weight):  # type: ignore[no-untyped-def]
-    side = np.int32(resolution + _ONE - np.float32(2.0) * shift)
+def _corners_2d(points, resolution, entries, entry, weight):  # type: ignore[no-untyped-def]
+    side = np.int32(resolution + _ONE)
     dense = np.int64(side) * np.int64(side) <= entries
     mask = np.uint32(entries - 1)
     for s in range(BLOCK):
-        x, fx = _cell(points[0, s], resolution, shift, side)
-        y, fy = _cell(points[1, s], resolution, shift, side)
+        x, fx = _cell(points[0, s], resolution, side)
+        y, fy = _cell(points[1, s], resolution, side)
         high, low = fy, _ONE - fy
         weight[0, s], weight[1, s] = low - low * fx, low * fx
         weight[2, s], weight[3, s] = high - high * fx, high * fx
@@ -65,14 +64,14 @@ def _corners_2d(points, resolution, shift, entries, entry, weight):  # type: ign
 
 
 @njit_fast
-def _corners_3d(points, resolution, shift, entries, entry, weight):  # type: ignore[no-untyped-def]
-    side = np.int32(resolution + _ONE - np.float32(2.0) * shift)
+def _corners_3d(points, resolution, entries, entry, weight):  # type: ignore[no-untyped-def]
+    side = np.int32(resolution + _ONE)
     dense = np.int64(side) * np.int64(side) * np.int64(side) <= entries
     mask = np.uint32(entries - 1)
     for s in range(BLOCK):
-        _, fx = _cell(points[0, s], resolution, shift, side)
-        _, fy = _cell(points[1, s], resolution, shift, side)
-        _, fz = _cell(points[2, s], resolution, shift, side)
+        _, fx = _cell(points[0, s], resolution, side)
+        _, fy = _cell(points[1, s], resolution, side)
+        _, fz = _cell(points[2, s], resolution, side)
         high, low = fz, _ONE - fz
         w00, w01, w10, w11 = low - low * fy, low * fy, high - high * fy, high * fy
         weight[0, s], weight[1, s] = w00 - w00 * fx, w00 * fx
@@ -82,9 +81,9 @@ def _corners_3d(points, resolution, shift, entries, entry, weight):  # type: ign
     if dense:
         row, plane = np.uint32(side), np.uint32(side * side)
         for s in range(BLOCK):
-            x, _ = _cell(points[0, s], resolution, shift, side)
-            y, _ = _cell(points[1, s], resolution, shift, side)
-            z, _ = _cell(points[2, s], resolution, shift, side)
+            x, _ = _cell(points[0, s], resolution, side)
+            y, _ = _cell(points[1, s], resolution, side)
+            z, _ = _cell(points[2, s], resolution, side)
             near = np.uint32(np.uint32(x) + np.uint32(np.uint32(y) * row) + np.uint32(np.uint32(z) * plane))
             far = np.uint32(near + plane)
             entry[0, s], entry[1, s] = near, near + np.uint32(1)
@@ -93,9 +92,9 @@ def _corners_3d(points, resolution, shift, entries, entry, weight):  # type: ign
             entry[6, s], entry[7, s] = far + row, np.uint32(far + row) + np.uint32(1)
         return
     for s in range(BLOCK):
-        x, _ = _cell(points[0, s], resolution, shift, side)
-        y, _ = _cell(points[1, s], resolution, shift, side)
-        z, _ = _cell(points[2, s], resolution, shift, side)
+        x, _ = _cell(points[0, s], resolution, side)
+        y, _ = _cell(points[1, s], resolution, side)
+        z, _ = _cell(points[2, s], resolution, side)
         x0, x1 = np.uint32(x), np.uint32(x + np.int32(1))
         y0, z0 = np.uint32(np.uint32(y) * _PRIME_Y), np.uint32(np.uint32(z) * _PRIME_Z)
         y1, z1 = np.uint32(y0 + _PRIME_Y), np.uint32(z0 + _PRIME_Z)
@@ -106,9 +105,9 @@ def _corners_3d(points, resolution, shift, entries, entry, weight):  # type: ign
 
 
 @njit_fast
-def _cell(coordinate, resolution, shift, side):  # type: ignore[no-untyped-def]
+def _cell(coordinate, resolution, side):  # type: ignore[no-untyped-def]
     """The cell that a coordinate in [0, 1] lies in, along one axis, and how far into it; the far edge belongs to the last."""
-    scaled = min(max(coordinate * resolution - shift, np.float32(0.0)), np.float32(side - 1))
+    scaled = min(coordinate * resolution, np.float32(side - 1))
     cell = min(np.int32(scaled), np.int32(side - 2))
     return cell, scaled - np.float32(cell)
 
@@ -119,7 +118,7 @@ def encode(grid, points, entry, weight, encoded):  # type: ignore[no-untyped-def
     features = grid.tables.shape[1]
     for level in range(len(grid.resolutions)):
         start, end = grid.offsets[level], grid.offsets[level + 1]
-        corners(points, grid.resolutions[level], grid.shift, end - start, entry, weight)
+        corners(points, grid.resolutions[level], end - start, entry, weight)
         table, rows = grid.tables[start:end], encoded[level * features : (level + 1) * features]
         if features == 2:  # known lengths are loops unrolled
             if len(points) == 2:
@@ -160,7 +159,7 @@ def _sum_8(table, entry, weight, row_0, row_1):  # type: ignore[no-untyped-def]
 
 
 @njit_fast
-def scatter(points, resolution, shift, rows, first_row, gradient):  # type: ignore[no-untyped-def]
+def scatter(points, resolution, rows, first_row, gradient):  # type: ignore[no-untyped-def]
     """The transpose of encoding with one level: add upstream gradients to its entries' `gradient` (entries, F).
 
     points: (N, D) as they came. rows: (blocks, R, BLOCK), of which the F from `first_row` on belong to
@@ -173,7 +172,7 @@ def scatter(points, resolution, shift, rows, first_row, gradient):  # type: igno
     for first in range(0, len(points), BLOCK):
         count = min(BLOCK, len(points) - first)
         load(points, first, block)
-        corners(block, resolution, shift, len(gradient), entry, weight)
+        corners(block, resolution, len(gradient), entry, weight)
         own = rows[first // BLOCK, first_row : first_row + features]
         if features == 2:  # known lengths are loops unrolled
             for s in range(count):
