@@ -7,7 +7,10 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
-from dante_w.scene.exposure import log_exposures
+from conftest import CAMERA
+from dante_w.contract.scene_folder import Frame
+from dante_w.scene.exposure import relative_log_exposures
+from dante_w.scene.images import read_header
 
 NAMES = ("ExposureTime", "FNumber", "Exif:PhotographicSensitivity")
 
@@ -21,6 +24,11 @@ def photo(file: Path, *values: float | None) -> Path:
     out = oiio.ImageOutput.create(str(file))
     assert out.open(str(file), spec) and out.write_image(np.zeros((6, 8, 3), np.uint8)) and out.close()
     return file
+
+
+def log_exposures(files: list[Path]) -> np.ndarray | None:
+    frames = [Frame(file, CAMERA, np.eye(4), log_exposure=read_header(file).log_exposure) for file in files]
+    return relative_log_exposures(frames)
 
 
 @pytest.mark.parametrize("kind", ["jpg", "png"])
@@ -41,7 +49,5 @@ def test_one_file_that_does_not_tell_all_spoils_it(tmp_path, values):
     assert log_exposures([whole, photo(tmp_path / "b.jpg", *values)]) is None
 
 
-def test_what_is_no_picture_does_not_tell(tmp_path):
-    (tmp_path / "a.jpg").write_text("no picture")
-    assert log_exposures([tmp_path / "a.jpg"]) is None
-    assert log_exposures([tmp_path / "nowhere.jpg"]) is None
+def test_a_frame_whose_header_was_not_read_has_none():
+    assert relative_log_exposures([Frame(Path("a.jpg"), CAMERA, np.eye(4))]) is None

@@ -54,13 +54,18 @@ class Camera:
 
 @dataclass(frozen=True)
 class Frame:
-    """One photo: absolute paths, intrinsics, and the float64 4x4 OpenGL camera-to-world pose."""
+    """One photo: absolute paths, intrinsics, and the float64 4x4 OpenGL camera-to-world pose.
+
+    `log_exposure` is the log of exposure time x sensitivity / f-number^2, in seconds and ISO, as the photo's own file
+    says; None where it does not, and before the backend has read the file's header.
+    """
 
     image: Path
     camera: Camera
     camera_to_world: np.ndarray
     mask: Path | None = None
     albedo: Path | None = None
+    log_exposure: float | None = None
 
 
 @dataclass(frozen=True)
@@ -145,11 +150,10 @@ def _frame(source: Path, root: Path, index: int, entry: Mapping[str, Any]) -> Fr
     image = _inside(source, root, name)
     if not image.suffix and not os.path.exists(image):
         image = image.with_suffix(".png")  # the NeRF synthetic scenes leave the ending out
-    optional = {
-        key: _inside(source, root, entry[key + "_path"]) if entry.get(key + "_path") else None
-        for key in ("mask", "albedo")
-    }
-    return Frame(image, _camera(where, entry), _pose(where, entry.get("transform_matrix")), **optional)
+    mask, albedo = (
+        _inside(source, root, entry[key]) if entry.get(key) else None for key in ("mask_path", "albedo_path")
+    )
+    return Frame(image, _camera(where, entry), _pose(where, entry.get("transform_matrix")), mask, albedo)
 
 
 def _inside(source: Path, root: Path, name: Any) -> Path:

@@ -1,31 +1,18 @@
-"""Exposures that cameras note in their files."""
+"""Exposures that cameras note in their files (EXIF)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Any
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813
+
+from dante_w.contract.scene_folder import Frame
 
 
-def log_exposures(files: Sequence[Path]) -> np.ndarray | None:
-    """(K,) log of exposure time x sensitivity / f-number^2 from EXIF, with mean 0; None unless every file tells all
-    three."""
-    found = [_log_exposure(file) for file in files]
-    if any(value is None for value in found):
-        return None
-    logs = np.array(found, np.float64)
-    return logs - logs.mean()
-
-
-def _log_exposure(file: Path) -> float | None:
-    source = oiio.ImageInput.open(str(file))
-    if source is None:
-        oiio.geterror()  # or it is printed at the end
-        return None
-    spec = source.spec()
-    source.close()
+def log_exposure(spec: Any) -> float | None:
+    """Log of exposure time x sensitivity / f-number^2 (seconds, ISO) from OpenImageIO's `ImageSpec` of a photo; None
+    unless it has all three."""
     numbers = [
         spec.get_float_attribute("ExposureTime"),
         spec.get_float_attribute("FNumber"),
@@ -33,5 +20,14 @@ def _log_exposure(file: Path) -> float | None:
     ]
     if not all(np.isfinite(number) and number > 0.0 for number in numbers):
         return None
-    seconds, stop, sensitivity = numbers
-    return float(np.log(seconds * sensitivity) - 2.0 * np.log(stop))
+    seconds, f_number, sensitivity = numbers
+    return float(np.log(seconds * sensitivity) - 2.0 * np.log(f_number))
+
+
+def relative_log_exposures(frames: Sequence[Frame]) -> np.ndarray | None:
+    """(K,) float64 log exposures of photos with mean 0; None unless every photo has one."""
+    values = [frame.log_exposure for frame in frames]
+    if any(value is None for value in values):
+        return None
+    logs = np.array(values, np.float64)
+    return logs - logs.mean()

@@ -18,6 +18,7 @@ import psutil
 
 from dante_w.contract.errors import BadInput, OutOfRoom
 from dante_w.core.color import linear_from_srgb_array, srgb_from_linear_array
+from dante_w.scene.exposure import log_exposure
 
 FORMATS = ("png", "jpeg", "tiff", "openexr", "hdr", "webp")
 MAX_SAMPLES = 2**30  #: width x height x channels, a 16384 x 16384 RGBA texture; more is a broken header
@@ -37,16 +38,24 @@ class Photo:
     linear: bool = False
 
 
-def read_size(path: Path) -> tuple[int, int]:
-    """Width and height in pixels, from the header alone.
+@dataclass(frozen=True)
+class Header:
+    """What an image's file says before its pixels: size in pixels, and `exposure.log_exposure`."""
 
+    width: int
+    height: int
+    log_exposure: float | None
+
+
+def read_header(path: Path) -> Header:
+    """
     Raises:
         BadInput: the file is missing or not an image.
     """
     source = _open(path)
     spec = source.spec()
     source.close()
-    return spec.full_width, spec.full_height
+    return Header(spec.full_width, spec.full_height, log_exposure(spec))
 
 
 def read_photo(path: Path, mask: Path | None = None) -> Photo:

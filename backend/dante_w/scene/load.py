@@ -9,14 +9,17 @@ from pathlib import Path
 from dante_w.contract.errors import BadInput
 from dante_w.contract.scene_folder import Frame, Scene, read_scene
 from dante_w.scene.colmap import is_colmap, read_colmap
-from dante_w.scene.images import read_size
+from dante_w.scene.images import read_header
 from dante_w.scene.mesh import Mesh, read_mesh
+
+#: Log of the ratio of the aspect ratios of a photo and its prior: room for rounded sizes, none for cropped priors.
+MOST_STRETCHED = 0.05
 
 
 def load_scene(
     path: Path, mesh: Path | None = None, images: Path | None = None, priors: Path | None = None
 ) -> tuple[Scene, Mesh]:
-    """Read a scene folder or a COLMAP model's parent, and its mesh.
+    """Read a scene folder or a COLMAP model's parent, its photos' headers, and its mesh.
 
     Args:
         mesh: used instead of the scene's own.
@@ -34,8 +37,7 @@ def load_scene(
         raise BadInput(f"{path}: no mesh.obj, mesh.ply or mesh.glb here; name the mesh with --mesh.")
     if mesh is None and not source.resolve().is_relative_to(source.parent.resolve()):
         raise BadInput(f"{source}: is a link that leads out of the scene folder; name the mesh with --mesh.")
-    for frame in scene.frames:
-        _check_size(frame)
+    scene = dataclasses.replace(scene, frames=[_with_header(frame) for frame in scene.frames])
     return scene, read_mesh(source)
 
 
@@ -43,21 +45,22 @@ def _has_transforms(path: Path) -> bool:
     return path.is_file() or (path / "transforms.json").is_file()
 
 
-def _check_size(frame: Frame) -> None:
-    size, camera = read_size(frame.image), frame.camera
-    if size != (camera.width, camera.height):
+def _with_header(frame: Frame) -> Frame:
+    """The frame with what its photo's header says; refuses a photo or prior whose size does not fit."""
+    photo, camera = read_header(frame.image), frame.camera
+    if (photo.width, photo.height) != (camera.width, camera.height):
         raise BadInput(
-            f"{frame.image}: the photo is {size[0]} x {size[1]} but its camera says {camera.width} x "
+            f"{frame.image}: the photo is {photo.width} x {photo.height} but its camera says {camera.width} x "
             f"{camera.height}; use the photos that were aligned, or correct the camera."
         )
-    if frame.albedo is None:
-        return
-    width, height = read_size(frame.albedo)
-    if abs(math.log((width / height) / (size[0] / size[1]))) > 0.05:
-        raise BadInput(
-            f"{frame.albedo}: the prior is {width} x {height}, another shape than its photo "
-            f"({size[0]} x {size[1]}); make it from the uncropped photo."
-        )
+    if frame.albedo is not None:
+        prior = read_header(frame.albedo)
+        if abs(math.log((prior.width / prior.height) / (photo.width / photo.height))) > MOST_STRETCHED:
+            raise BadInput(
+                f"{frame.albedo}: the prior is {prior.width} x {prior.height}, another shape than its photo "
+                f"({photo.width} x {photo.height}); make it from the uncropped photo."
+            )
+    return dataclasses.replace(frame, log_exposure=photo.log_exposure)
 
 
 def _with_priors(frames: list[Frame], folder: Path) -> list[Frame]:

@@ -13,7 +13,7 @@ from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.scene3d import Scene3D
 from dante_w.run.checkpoints import Checkpoints
 from dante_w.run.progress import Progress
-from dante_w.scene.exposure import log_exposures
+from dante_w.scene.exposure import relative_log_exposures
 from dante_w.scene.held_out import choose_held_out
 from dante_w.traced.albedo_prior import fuse_priors
 from dante_w.traced.albedo_texture import albedo_texture
@@ -72,7 +72,7 @@ def examine(
         lambda done: progress.update("transfer", done, 1.0),
     )
     prior = fuse_priors(cache, points, prior_weight) if prior_weight > 0.0 else None
-    exposures = log_exposures([frame.image for frame in frames])
+    exposures = relative_log_exposures(frames)
     groups = first_clusters(seen, len(points), len(frames))
     seen = seen.of(
         thinned(seen.point, seen.photo)
