@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
+from dante_w_addon.contract.errors import BadInput
 from mathutils import Matrix, Vector
 from small_scene import add_camera, add_cube, save_picture
 
@@ -125,7 +126,7 @@ def test_constraints_and_parents_count(tmp_path):
     ],
 )
 def test_impossible_cameras_are_refused(matrix, said):
-    with pytest.raises(scene_folder.BadInput, match=said):
+    with pytest.raises(BadInput, match=said):
         cameras.pose(matrix)
 
 

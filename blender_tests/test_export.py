@@ -5,6 +5,8 @@ import os
 import bpy
 import numpy as np
 import pytest
+from dante_w_addon.contract.errors import BadInput
+from dante_w_addon.contract.triangles import Triangles, read_obj, write_obj
 from mathutils import Matrix
 from small_scene import add_camera, add_cube, build, save_picture, set_photo
 
@@ -14,8 +16,9 @@ from dante_w_addon.contract import scene_folder
 
 
 def exported(obj, path):
-    mesh.write_obj(path, mesh.evaluated(obj, bpy.context.evaluated_depsgraph_get()))
-    return uv_back.read_obj(path)
+    write_obj(path, mesh.evaluated(obj, bpy.context.evaluated_depsgraph_get()))
+    read = read_obj(path)
+    return read.vertices, read.uvs, read.corners, read.uv_corners
 
 
 def area(vertices, corners):
@@ -114,7 +117,7 @@ def test_edits_in_edit_mode_count(tmp_path):
 def test_a_mesh_without_faces_is_refused(tmp_path):
     cube = add_cube()
     cube.data.clear_geometry()
-    with pytest.raises(scene_folder.BadInput, match="no faces"):
+    with pytest.raises(BadInput, match="no faces"):
         exported(cube, tmp_path / "a.obj")
 
 
@@ -153,7 +156,7 @@ def test_exporting_again_keeps_the_originals(tmp_path):
 def test_a_folder_of_the_users_is_never_emptied(tmp_path):
     build(tmp_path / "photos")
     (tmp_path / "transforms.json").write_text("mine")
-    with pytest.raises(scene_folder.BadInput, match="other files"):
+    with pytest.raises(BadInput, match="other files"):
         export_now(tmp_path)
     assert (tmp_path / "transforms.json").read_text() == "mine"
 
@@ -224,7 +227,7 @@ def test_problems_are_named(tmp_path):
     said = [photos.problem(photo) for photo in photos.found(bpy.context.scene)]
     assert [bool(text) for text in said] == [False, True, True, False]
     assert "missing" in said[1] and "perspective" in said[2]
-    with pytest.raises(scene_folder.BadInput):
+    with pytest.raises(BadInput):
         export_now(tmp_path / "scene")
 
 
@@ -237,8 +240,8 @@ def test_a_hidden_photo_is_left_out(tmp_path):
 def test_new_uvs_come_back(tmp_path):
     cube = add_cube()
     vertices, uvs, corners, uv_corners = exported(cube, tmp_path / "a.obj")
-    changed = mesh.Triangles(vertices, corners, uvs * 0.5, uv_corners)
-    mesh.write_obj(tmp_path / "b.obj", changed)
+    changed = Triangles(vertices, corners, uvs * 0.5, uv_corners)
+    write_obj(tmp_path / "b.obj", changed)
     assert uv_back.bring_back(cube, tmp_path / "b.obj") == cube
     assert cube.data.uv_layers[uv_back.UV_MAP].active_render
     assert exported(cube, tmp_path / "c.obj")[1].max() == pytest.approx(uvs.max() * 0.5)

@@ -27,7 +27,7 @@ def command(blend, out, *more):
     code = (
         "import runpy, sys; sys.path.insert(0, sys.argv.pop(1)); import bpy, batch; "
         "headless = batch.load(); from pathlib import Path; "
-        f"headless.result.layout.launcher = lambda: Path({str(HERE / 'standin' / 'launch.py')!r}); "
+        f"from dante_w_addon import layout; layout.launcher = lambda: Path({str(HERE / 'standin' / 'launch.py')!r}); "
         "sys.exit(headless.main(batch.arguments()))"
     )
     words = [str(blend), "--out", str(out), "--backend-python", sys.executable, *more]
@@ -71,6 +71,7 @@ def test_the_word_recover_may_be_said(blend, tmp_path):
         (("--object", "Sphere"), "done", 2, "no mesh named Sphere"),
         (("--relight", "moonlight"), "done", 2, "moonlight"),
         (("--preset", "best"), "done", 2, "best"),
+        (("--preset", "paper"), "done", 2, "needs --irradiance field"),
     ],
 )
 def test_exit_codes(blend, tmp_path, more, mode, code, said):
@@ -81,10 +82,11 @@ def test_exit_codes(blend, tmp_path, more, mode, code, said):
 
 
 def test_what_to_model_reaches_the_backend(blend, tmp_path):
-    options = ["--irradiance", "traced", "--model", "groups", "--model", "bounce", "--leave-out", "gloss"]
-    assert run(blend, tmp_path / "out", *options).returncode == 0
-    given = json.loads((tmp_path / "out/report.json").read_text())["arguments"]
-    assert " ".join(options) in " ".join(given)
+    options = ["--model", "clusters", "--model", "bounce", "--leave-out", "gloss"]
+    assert run(blend, tmp_path / "out", "--irradiance", "traced", *options).returncode == 0
+    given = " ".join(json.loads((tmp_path / "out/report.json").read_text())["arguments"])
+    assert "--irradiance traced" in given
+    assert "--model groups --model bounce --leave-out gloss" in given, "the keys, which every backend knows"
     assert run(blend, tmp_path / "other").returncode == 0
     given = json.loads((tmp_path / "other/report.json").read_text())["arguments"]
     assert given[given.index("--irradiance") + 1] == "traced" and "--model" not in given

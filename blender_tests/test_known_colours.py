@@ -17,19 +17,19 @@ from dante_w_addon.operators.known_colour import DANTEW_OT_pick_known_colour as 
 
 def test_spots_are_added_and_removed(addon):
     plane = add_plane()
-    pick, spots = bpy.ops.dantew.pick_known_colour, known_colours.of(plane)
+    pick, spots = bpy.ops.dantew.pick_known_colour, known_colours.spots_of(plane)
     assert pick(location=(0.4, -0.2, 0.0)) == {"FINISHED"}
     assert pick(location=(0.0, 0.0, 0.0), grey=False, colour=(0.2, 0.4, 1.0)) == {"FINISHED"}
-    assert known_colours.words(plane) == [
+    assert known_colours.as_words(plane) == (
         ("0.700000", "0.400000", "grey"),
         ("0.500000", "0.500000", "#3366FF"),
-    ]
+    )
     assert [spot.uv_map for spot in spots] == ["UVMap", "UVMap"]
     assert tuple(spots[0].location) == pytest.approx((0.4, -0.2, 0.0))
     with pytest.raises(RuntimeError, match="only 2"):
         bpy.ops.dantew.remove_known_colour(index=2)
     bpy.ops.dantew.remove_known_colour(index=0)
-    assert [words[2] for words in known_colours.words(plane)] == ["#3366FF"]
+    assert [words[2] for words in known_colours.as_words(plane)] == ["#3366FF"]
     bpy.ops.dantew.remove_known_colour(index=0)
     assert not bpy.ops.dantew.remove_known_colour.poll()
 
@@ -42,7 +42,7 @@ def test_a_given_face_is_taken(addon):
     for face in (top, next(p.index for p in cube.data.polygons if p.center.x < -0.5)):
         bpy.ops.dantew.pick_known_colour(location=edge, face=face)
         expected.append(surface.uv_at(cube, depsgraph(), edge, face)[:2])
-    found = [(spot.u, spot.v) for spot in known_colours.of(cube)]
+    found = [(spot.u, spot.v) for spot in known_colours.spots_of(cube)]
     assert np.array(found) == pytest.approx(np.array(expected)) and len(set(expected)) == 2
 
 
@@ -160,7 +160,7 @@ def test_spots_that_do_not_fit_stand_in_the_way(addon, standin, scene):
 
     def problems():
         survey._last = None
-        return survey.take(scene, cube).problems
+        return survey.examine(scene, cube).problems
 
     pick_two()
     assert problems() == ()
@@ -170,7 +170,7 @@ def test_spots_that_do_not_fit_stand_in_the_way(addon, standin, scene):
     scene.dante_w.unwrap = False
     cube.data.uv_layers.new(name="Second").active_render = True
     assert "picked on the UV map UVMap" in problems()[0]
-    known_colours.of(cube).clear()
+    known_colours.spots_of(cube).clear()
     assert problems() == ()
 
 
@@ -178,7 +178,7 @@ def test_without_a_window(addon, scene, tmp_path):
     """Spots saved with the file count, those of the command line take their place."""
     cube, blend = bpy.data.objects["Cube"], bpy.data.filepath
     pick_two()
-    saved = [list(words) for words in known_colours.words(cube)]
+    saved = [list(words) for words in known_colours.as_words(cube)]
     bpy.ops.wm.save_mainfile()
 
     def told(*more):

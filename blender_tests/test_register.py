@@ -51,7 +51,7 @@ def test_survey_finds_what_is_wrong(addon, standin, scene):
 
     def problems():
         survey._last = None
-        return survey.take(scene, cube).problems
+        return survey.examine(scene, cube).problems
 
     assert problems() == ()
     scene.dante_w.prior_folder = "/no/such/folder"
@@ -66,9 +66,9 @@ def test_survey_finds_what_is_wrong(addon, standin, scene):
 def test_render_of_another_shape_is_noticed_and_matched(addon, scene):
     cube = bpy.data.objects["Cube"]
     scene.render.resolution_x, scene.render.resolution_y = 128, 96  # the photos are 64 x 48
-    assert not survey.take(scene, cube).overlay_off
+    assert not survey.examine(scene, cube).overlay_off
     scene.render.resolution_x = 96
-    assert survey.take(scene, cube).overlay_off
+    assert survey.examine(scene, cube).overlay_off
     bpy.ops.dantew.match_render()
     assert (scene.render.resolution_x, scene.render.resolution_y) == (64, 48)
-    assert not survey.take(scene, cube).overlay_off
+    assert not survey.examine(scene, cube).overlay_off

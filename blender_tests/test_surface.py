@@ -5,11 +5,11 @@ import math
 import bpy
 import numpy as np
 import pytest
+from dante_w_addon.contract.errors import BadInput
 from mathutils import Matrix, Vector
 from small_scene import add_cube
 
 from dante_w_addon.blender import mesh, surface
-from dante_w_addon.contract import scene_folder
 
 
 def depsgraph():
@@ -123,10 +123,10 @@ def test_a_mesh_without_faces_or_uvs_is_refused():
     plane = add_plane()
     plane.data.uv_layers.remove(plane.data.uv_layers[0])
     plane.data.update()
-    with pytest.raises(scene_folder.BadInput, match="no UV map"):
+    with pytest.raises(BadInput, match="no UV map"):
         surface.uv_at(plane, depsgraph(), Vector((0.0, 0.0, 0.0)), 0)
     plane.data.clear_geometry()
     bpy.context.view_layer.update()
-    with pytest.raises(scene_folder.BadInput, match="no faces"):
+    with pytest.raises(BadInput, match="no faces"):
         surface.nearest(plane, depsgraph(), Vector((0.0, 0.0, 0.0)))
     assert surface.under_ray(plane, depsgraph(), Vector((0.0, 0.0, 1.0)), Vector((0.0, 0.0, -1.0))) is None

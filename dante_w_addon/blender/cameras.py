@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 from ..contract import scene_folder
+from ..contract.errors import BadInput
 
 #: Custom property of an imported camera: calibration that a Blender camera cannot hold, as distortion.
 CALIBRATION = "dante_w_calibration"
@@ -53,9 +54,9 @@ def pose(matrix: Sequence[Sequence[float]]) -> np.ndarray:
     result = np.array(matrix, np.float64)
     axes = result[:3, :3] / np.linalg.norm(result[:3, :3], axis=0)
     if not np.allclose(axes.T @ axes, np.eye(3), atol=1e-4):
-        raise scene_folder.BadInput("its transform is sheared; clear the scale of its parent")
+        raise BadInput("its transform is sheared; clear the scale of its parent")
     if np.linalg.det(axes) < 0.0:
-        raise scene_folder.BadInput("it is mirrored by a negative scale; apply its scale")
+        raise BadInput("it is mirrored by a negative scale; apply its scale")
     result[:3, :3] = axes
     return result
 

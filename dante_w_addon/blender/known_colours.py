@@ -36,7 +36,7 @@ class DANTEW_PG_known_colour(bpy.types.PropertyGroup):
     )
 
 
-def of(obj: bpy.types.Object) -> bpy.types.bpy_prop_collection:
+def spots_of(obj: bpy.types.Object) -> bpy.types.bpy_prop_collection:
     """The known colours of a mesh object."""
     return obj.dante_w_known_colours
 
@@ -50,7 +50,7 @@ def add(
         BadInput: the mesh has no UV map.
     """
     u, v, uv_map = surface.uv_at(obj, depsgraph, point, face)
-    spot = of(obj).add()
+    spot = spots_of(obj).add()
     spot.u, spot.v, spot.uv_map, spot.location = u, v, uv_map, point
     return spot
 
@@ -60,12 +60,12 @@ def problem(obj: bpy.types.Object, unwrap: bool) -> str | None:
 
     `unwrap`: whether the recovery is to make new UVs.
     """
-    if not of(obj):
+    if not spots_of(obj):
         return None
     if unwrap:
         return f"The known colours of {obj.name} do not fit new UVs; make no new UVs, or remove the colours."
     layer = mesh.render_uv_map(obj.data)  # None where a modifier makes the UV map: then the spots are trusted
-    other = {spot.uv_map for spot in of(obj)} - {layer.name} if layer is not None else set()
+    other = {spot.uv_map for spot in spots_of(obj)} - {layer.name} if layer is not None else set()
     if other:
         return (
             f"Known colours of {obj.name} were picked on the UV map {min(other)}; remove and pick them again."
@@ -73,11 +73,12 @@ def problem(obj: bpy.types.Object, unwrap: bool) -> str | None:
     return None
 
 
-def words(obj: bpy.types.Object) -> list[tuple[str, str, str]]:
+def as_words(obj: bpy.types.Object) -> tuple[tuple[str, str, str], ...]:
     """U, V and COLOUR of each spot, as the backend's `--known` takes them."""
-    return [
-        (f"{spot.u:.6f}", f"{spot.v:.6f}", "grey" if spot.grey else _hex(spot.colour)) for spot in of(obj)
-    ]
+    return tuple(
+        (f"{spot.u:.6f}", f"{spot.v:.6f}", "grey" if spot.grey else _hex(spot.colour))
+        for spot in spots_of(obj)
+    )
 
 
 def _hex(colour: Sequence[float]) -> str:

@@ -13,10 +13,11 @@ from typing import Any
 
 import bpy
 
+from ..contract.report import COVERAGE, albedo_file, read_report, summary
 from . import mesh
 
 #: Custom properties of a textured object.
-ALBEDO, ORIGINALS, REPORT = "dante_w_albedo", "dante_w_originals", "dante_w_report"
+ALBEDO, ORIGINALS, REPORT_TEXT = "dante_w_albedo", "dante_w_originals", "dante_w_report"
 
 
 def apply(obj: bpy.types.Object, result: Path, pack: bool) -> bpy.types.Material:
@@ -26,15 +27,15 @@ def apply(obj: bpy.types.Object, result: Path, pack: bool) -> bpy.types.Material
         OSError, ValueError: the folder is not a whole result.
     """
     report = read_report(result)
-    suffix = "exr" if report.get("settings", {}).get("format") == "exr" else "png"
-    albedo = load_image(result / f"albedo.{suffix}", f"{obj.name} albedo", pack)
-    coverage = load_image(result / "coverage.png", f"{obj.name} coverage", pack, "Non-Color")
+    texture = result / albedo_file(summary(report).file_format)
+    albedo = load_image(texture, f"{obj.name} albedo", pack)
+    coverage = load_image(result / COVERAGE, f"{obj.name} coverage", pack, "Non-Color")
     layer = mesh.render_uv_map(obj.data)
     material = albedo_material(f"{obj.name} albedo", albedo, coverage, layer.name if layer else "")
     if shown(obj) != "ALBEDO":
         obj[ORIGINALS] = {str(i): slot.material for i, slot in enumerate(obj.material_slots) if slot.material}
     obj[ALBEDO] = material
-    obj[REPORT] = json.dumps(report, indent=1)
+    obj[REPORT_TEXT] = json.dumps(report, indent=1)
     show(obj, "ALBEDO")
     return material
 
@@ -56,16 +57,11 @@ def show(obj: bpy.types.Object, which: str) -> None:
         slot.material = obj[ALBEDO] if which == "ALBEDO" else originals.get(str(index))
 
 
-def read_report(result: Path) -> dict[str, Any]:
-    """The report in a result folder, which is written last: without it the folder is not whole."""
-    return dict(json.loads((result / "report.json").read_text(encoding="utf-8")))
-
-
 def report_of(obj: bpy.types.Object) -> dict[str, Any]:
     """The report of the object's result; empty where there is none."""
     try:
-        return dict(json.loads(obj.get(REPORT, "{}")))
-    except ValueError:
+        return dict(json.loads(obj.get(REPORT_TEXT, "{}")))
+    except (ValueError, TypeError):
         return {}
 
 

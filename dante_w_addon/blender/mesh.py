@@ -1,35 +1,16 @@
-"""The evaluated mesh as arrays, and as an OBJ file.
+"""The evaluated mesh as arrays.
 
-Written by hand rather than with Blender's exporters: those can be disabled, and they write float32, in
-which a geo-referenced mesh (coordinates of 1e7) loses its shape.
+Read by hand rather than with Blender's exporters: those can be disabled, and they write float32, in which a
+geo-referenced mesh (coordinates of 1e7) loses its shape.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import bpy
 import numpy as np
 
-from ..contract import scene_folder
-
-
-@dataclass(frozen=True)
-class Triangles:
-    """A triangulated mesh in world space.
-
-    `vertices` (V, 3) float64; `corners` (F, 3) vertex of each triangle corner; `uvs` (T, 2) and `uv_corners`
-    (F, 3), or None for a mesh with no UV map; `normals` (N, 3) and `normal_corners` (F, 3), or None for a mesh that is
-    shaded flat throughout: the photos' surface is rarely so, and the backend makes smooth ones.
-    """
-
-    vertices: np.ndarray
-    corners: np.ndarray
-    uvs: np.ndarray | None
-    uv_corners: np.ndarray | None
-    normals: np.ndarray | None = None
-    normal_corners: np.ndarray | None = None
+from ..contract.errors import BadInput
+from ..contract.triangles import Triangles
 
 
 def evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Triangles:
@@ -47,7 +28,7 @@ def evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Triangle
         mesh.calc_loop_triangles()
         count = len(mesh.loop_triangles)
         if count == 0:
-            raise scene_folder.BadInput(f"{obj.name} has no faces; choose a mesh with faces.")
+            raise BadInput(f"{obj.name} has no faces; choose a mesh with faces.")
         local = _read(mesh.vertices, "co", len(mesh.vertices), 3, np.float32)
         corners = _read(mesh.loop_triangles, "vertices", count, 3, np.int32)
         loops = _read(mesh.loop_triangles, "loops", count, 3, np.int32)
@@ -61,7 +42,7 @@ def evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Triangle
         shown.to_mesh_clear()
     vertices = local.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     if not np.isfinite(vertices).all():
-        raise scene_folder.BadInput(f"{obj.name} has vertices that are not finite; repair the mesh.")
+        raise BadInput(f"{obj.name} has vertices that are not finite; repair the mesh.")
     turn = matrix[:3, :3]
     cofactors = np.cross(turn[[1, 2, 0]], turn[[2, 0, 1]])  # as normals turn
     if np.linalg.det(turn) < 0.0:  # a mirror turns faces inside out
@@ -90,25 +71,6 @@ def _shared(values: np.ndarray, keys: np.ndarray, loops: np.ndarray) -> tuple[np
 def render_uv_map(mesh: bpy.types.Mesh) -> bpy.types.MeshUVLoopLayer | None:
     """The UV map that renders use."""
     return next((layer for layer in mesh.uv_layers if layer.active_render), None)
-
-
-def write_obj(path: Path, mesh: Triangles) -> None:
-    """Write an OBJ whose decimal numbers read back to the same float64."""
-    with open(path, "w", encoding="ascii", newline="\n") as file:
-        file.writelines(f"v {x!r} {y!r} {z!r}\n" for x, y, z in mesh.vertices.tolist())
-        columns, corner = [mesh.corners], "{}"
-        if mesh.uvs is not None:
-            file.writelines(f"vt {u!r} {v!r}\n" for u, v in mesh.uvs.tolist())
-            columns, corner = [*columns, mesh.uv_corners], "{}/{}"
-        if mesh.normals is not None:
-            file.writelines(f"vn {x!r} {y!r} {z!r}\n" for x, y, z in mesh.normals.tolist())
-            columns, corner = (
-                [*columns, mesh.normal_corners],
-                corner + ("//{}" if mesh.uvs is None else "/{}"),
-            )
-        line = f"f {corner} {corner} {corner}\n"
-        rows = np.stack(columns, axis=2).reshape(len(mesh.corners), -1) + 1
-        file.writelines(line.format(*row) for row in rows.tolist())
 
 
 def _read(collection, attribute: str, rows: int, columns: int, kind: type) -> np.ndarray:

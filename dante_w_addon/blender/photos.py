@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..contract import scene_folder
+from ..contract.errors import BadInput
 from .paths import file_name
 from .pixel_files import write_exr, write_png
 
@@ -73,7 +73,7 @@ def size_of(image: bpy.types.Image) -> tuple[int, int]:
         if not loaded and not image.is_dirty and image.source == "FILE":
             image.buffers_free()
     if min(size) < 1:
-        raise scene_folder.BadInput(f"{path or image.name}: not a readable image; replace or hide it.")
+        raise BadInput(f"{path or image.name}: not a readable image; replace or hide it.")
     return size
 
 
@@ -117,7 +117,7 @@ class Folder:
             try:
                 _put(image, source, target)
             except (OSError, RuntimeError) as error:
-                raise scene_folder.BadInput(f"{key} cannot be put into {target.parent}: {error}") from error
+                raise BadInput(f"{key} cannot be put into {target.parent}: {error}") from error
             self._placed[key] = target
         return self._placed[key]
 

@@ -1,6 +1,11 @@
-"""What the user can set; saved with the scene."""
+"""What the user can set in the panel; saved with the scene.
+
+A .blend file stores the number of a menu's entry: entries keep their order, new ones come last.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import bpy
 from bpy.props import (
@@ -12,78 +17,67 @@ from bpy.props import (
     StringProperty,
 )
 
+from ..contract.vocabulary import (
+    COMPONENTS,
+    DEVICES,
+    FORMATS,
+    LARGEST_TEXTURE,
+    MODEL_PRESETS,
+    MODELS,
+    PRESETS,
+    Label,
+    component,
+)
 from . import hdris
 
-PRESETS = (
-    ("draft", "Draft", "A first look"),
-    ("standard", "Standard", "The usual choice"),
-    ("high", "High", "Light at four times as many points, and larger textures"),
-    ("paper", "Paper", "The settings of the DANTE-W paper: needs albedo priors, slow without a GPU"),
-)
-SIZES = [
-    ("AUTO", "Automatic", "As large as the photos' pixels ask for, within the preset's bounds"),
-    *((str(n), str(n), "") for n in (1024, 2048, 4096, 8192, 16384)),
+AUTOMATIC = "AUTO"
+_SIZES = [
+    (AUTOMATIC, "Automatic", "As fine as the photos, within the preset's limits"),
+    *((str(1 << n), str(1 << n), f"{1 << n} texels a side") for n in range(10, LARGEST_TEXTURE.bit_length())),
 ]
-DEVICES = (
-    ("auto", "Automatic", "A GPU where there is one"),
-    ("cpu", "CPU", ""),
-    ("cuda", "CUDA", "An NVIDIA GPU"),
-    ("mps", "Metal", "An Apple GPU"),
+_CHOICES = (
+    (AUTOMATIC, "Automatic", "Model it if the photos show that it helps"),
+    ("ON", "On", "Always model it"),
+    ("OFF", "Off", "Never model it"),
 )
-FORMATS = (
-    ("png", "PNG", "8 bits a channel"),
-    ("png16", "PNG 16", "16 bits a channel"),
-    ("exr", "OpenEXR", "Linear, floating point"),
-)
-IRRADIANCE = (
-    (
-        "traced",
-        "Traced",
-        "Light traced through the mesh: lights and exposures are solved for, then the albedo",
-    ),
-    ("field", "Paper's Field", "The paper's model: albedo and irradiance are two fields, fitted together"),
-)
-CHOICES = (
-    ("AUTO", "Automatic", "As the plan finds it worth while"),
-    ("ON", "On", "Model it whatever the plan finds"),
-    ("OFF", "Off", "Do not model it"),
-)
-#: Parts of the light as the backend names them, with the panel's words.
-PARTS = {
-    "groups": ("Several Lights", "Whether photos differ in their light"),
-    "exposures": ("Exposures", "Whether photos differ in their exposure"),
-    "bounce": ("Bounced Light", "Light that comes from the mesh itself"),
-    "gloss": ("Gloss", "What the surface shines beside its diffuse colour"),
-    "sun": ("Sun", "A light of its own that throws sharp shadows"),
-}
-STORAGE = (
+_STORAGE = (
     ("PACK", "Pack", "Keep the images inside the .blend"),
     ("FILE", "Keep as Files", "Leave the images in the output folder"),
 )
 
 
-def _choice(part: str) -> EnumProperty:
-    name, text = PARTS[part]
-    return EnumProperty(name=name, description=text, items=CHOICES)
+def _items(labels: Mapping[str, Label]) -> list[tuple[str, str, str]]:
+    return [(key, label.title, label.explanation) for key, label in labels.items()]
+
+
+def _choice(key: str) -> EnumProperty:
+    item = component(key)
+    return EnumProperty(name=item.title, description=item.explanation, items=_CHOICES)
 
 
 class DANTEW_PG_settings(bpy.types.PropertyGroup):
-    """Settings of the DANTE-W panel."""
+    """Settings of the DANTE-W panel. Each component of the light has a property `model_KEY`."""
 
     prior_folder: StringProperty(
-        name="Priors",
-        description="Optional folder of albedo images, named like the photos, from an image network",
+        name="Albedo Priors",
+        description="Optional folder of albedo images named like the photos, made by an image network",
         subtype="DIR_PATH",
     )
-    preset: EnumProperty(name="Preset", description="Quality against time", items=PRESETS, default="standard")
-    texture_size: EnumProperty(name="Texture", description="Texels a side", items=SIZES)
-    device: EnumProperty(name="Device", description="What computes", items=DEVICES)
-    file_format: EnumProperty(name="Format", description="File format of the albedo texture", items=FORMATS)
+    preset: EnumProperty(
+        name="Preset", description="Quality against time", items=_items(PRESETS), default="standard"
+    )
+    texture_size: EnumProperty(name="Texture Size", description="Texels along a side", items=_SIZES)
+    device: EnumProperty(
+        name="Device", description="Where the paper's model is fitted", items=_items(DEVICES)
+    )
+    file_format: EnumProperty(
+        name="Format", description="File format of the albedo texture", items=_items(FORMATS)
+    )
     unwrap: BoolProperty(
         name="Make New UVs",
-        description="Unwrap the mesh anew, where its UV map is missing or overlaps itself",
+        description="Unwrap the mesh again. Use it where the UV map is missing or overlaps itself",
     )
-    irradiance: EnumProperty(name="Light", description="How light is modelled", items=IRRADIANCE)
+    irradiance: EnumProperty(name="Light", description="How light is modelled", items=_items(MODELS))
     model_groups: _choice("groups")
     model_exposures: _choice("exposures")
     model_bounce: _choice("bounce")
@@ -91,31 +85,44 @@ class DANTEW_PG_settings(bpy.types.PropertyGroup):
     model_sun: _choice("sun")
     output_folder: StringProperty(
         name="Output",
-        description="Where scene and result folders go; a folder beside the .blend if empty",
+        description="Folder for scene and result; empty for a folder beside the .blend",
         subtype="DIR_PATH",
     )
-    storage: EnumProperty(name="Images", description="Where the result's images live", items=STORAGE)
-    hdri: EnumProperty(name="HDRI", description="Light to preview under", items=hdris.enum_items())
-    hdri_file: StringProperty(name="File", description="An equirectangular .hdr or .exr", subtype="FILE_PATH")
-    rotation: FloatProperty(name="Rotation", description="Turn the light about the vertical", subtype="ANGLE")
-    strength: FloatProperty(
-        name="Strength", description="Brightness of the light", default=1.0, min=0.0, soft_max=5.0
+    storage: EnumProperty(name="Images", description="Where the result's images are kept", items=_STORAGE)
+    hdri: EnumProperty(
+        name="HDRI", description="Environment that lights the preview", items=hdris.enum_items()
     )
-    samples: IntProperty(name="Samples", description="Cycles samples a pixel", default=32, min=1, max=4096)
+    hdri_file: StringProperty(
+        name="File", description="An equirectangular .hdr or .exr file", subtype="FILE_PATH"
+    )
+    rotation: FloatProperty(
+        name="Rotation", description="Turn the environment about the vertical axis", subtype="ANGLE"
+    )
+    strength: FloatProperty(
+        name="Strength", description="Brightness of the environment", default=1.0, min=0.0, soft_max=5.0
+    )
+    samples: IntProperty(name="Samples", description="Cycles samples per pixel", default=32, min=1, max=4096)
 
 
-def parts(settings: DANTEW_PG_settings) -> dict[str, list[str]]:
-    """Which parts of the light to `model` and which to `leave_out`, whatever the plan finds; the paper's field has none."""
-    if settings.irradiance != "traced":
-        return {}
-    chosen = {part: getattr(settings, f"model_{part}") for part in PARTS}
-    return {
-        word: [part for part, choice in chosen.items() if choice == wanted]
-        for word, wanted in (("model", "ON"), ("leave_out", "OFF"))
-    }
+def component_choices(settings: DANTEW_PG_settings) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Keys of the components of the light that are always modelled, and of those that never are."""
+    choices = {each.key: getattr(settings, f"model_{each.key}") for each in COMPONENTS}
+    on, off = (tuple(key for key, choice in choices.items() if choice == value) for value in ("ON", "OFF"))
+    return on, off
 
 
-def of(scene: bpy.types.Scene) -> DANTEW_PG_settings:
+def preset_problem(settings: DANTEW_PG_settings) -> str | None:
+    """Why the preset cannot be used with the chosen model of light, with the fix; None where it can."""
+    if settings.preset in MODEL_PRESETS[settings.irradiance]:
+        return None
+    suitable = next(model for model, presets in MODEL_PRESETS.items() if settings.preset in presets)
+    return (
+        f"The preset {PRESETS[settings.preset].title} does not work with {MODELS[settings.irradiance].title}. "
+        f"Choose another preset, or set Options > Light to {MODELS[suitable].title}."
+    )
+
+
+def settings_of(scene: bpy.types.Scene) -> DANTEW_PG_settings:
     """The settings of a scene."""
     return scene.dante_w
 

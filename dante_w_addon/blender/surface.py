@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 from mathutils import Vector, geometry
 
-from ..contract import scene_folder
+from ..contract.errors import BadInput
 from . import mesh
 
 
@@ -29,7 +29,7 @@ def nearest(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, location: Vec
     """
     shown = obj.evaluated_get(depsgraph)
     if not shown.data.polygons:
-        raise scene_folder.BadInput(f"{obj.name} has no faces; choose a mesh with faces.")
+        raise BadInput(f"{obj.name} has no faces; choose a mesh with faces.")
     _, point, _, face = shown.closest_point_on_mesh(location)
     return point, face
 
@@ -47,7 +47,7 @@ def uv_at(
     try:
         layer = mesh.render_uv_map(data)
         if layer is None:
-            raise scene_folder.BadInput(f"{obj.name} has no UV map; unwrap it first.")
+            raise BadInput(f"{obj.name} has no UV map; unwrap it first.")
         return (*_interpolated(data, layer, point, face), layer.name)
     finally:
         shown.to_mesh_clear()

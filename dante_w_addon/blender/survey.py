@@ -37,14 +37,14 @@ def active_mesh(context: bpy.types.Context) -> bpy.types.Object | None:
     return obj if obj is not None and obj.type == "MESH" else None
 
 
-def take(scene: bpy.types.Scene, obj: bpy.types.Object | None) -> Survey:
+def examine(scene: bpy.types.Scene, obj: bpy.types.Object | None) -> Survey:
     """Survey `scene`; the answer may be MAX_AGE old while the counts stay."""
     global _last
-    settings, render = properties.of(scene), scene.render
+    settings, render = properties.settings_of(scene), scene.render
     found = photos.found(scene)
     key = (
         *(scene.name_full, obj.name_full if obj else "", len(found), len(scene.objects)),
-        len(known_colours.of(obj)) if obj else 0,
+        len(known_colours.spots_of(obj)) if obj else 0,
         *(settings.unwrap, settings.prior_folder, scene.camera, render.resolution_x, render.resolution_y),
     )
     if _last is not None and _last[1] == key and time.monotonic() - _last[0] < MAX_AGE:

@@ -7,24 +7,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..contract.triangles import read_obj
+
 UV_MAP = "DANTE-W"
-
-
-def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (V, 3), UVs (T, 2), and per triangle corner their indices (F, 3) and (F, 3)."""
-    vertices, uvs, corners, uv_corners = [], [], [], []
-    with open(path, encoding="utf-8") as file:
-        for line in file:
-            kind, *parts = line.split() or [""]
-            if kind == "v":
-                vertices.append([float(part) for part in parts[:3]])
-            elif kind == "vt":
-                uvs.append([float(part) for part in parts[:2]])
-            elif kind == "f":
-                pairs = [part.split("/") for part in parts[:3]]
-                corners.append([int(pair[0]) - 1 for pair in pairs])
-                uv_corners.append([int(pair[1]) - 1 for pair in pairs])
-    return np.array(vertices), np.array(uvs), np.array(corners), np.array(uv_corners)
 
 
 def bring_back(obj: bpy.types.Object, path: Path) -> bpy.types.Object:
@@ -36,9 +21,9 @@ def bring_back(obj: bpy.types.Object, path: Path) -> bpy.types.Object:
     Returns:
         The object that carries the UVs.
     """
-    vertices, uvs, corners, uv_corners = read_obj(path)
-    corner_uvs = uvs[uv_corners]
-    loops = _matching_loops(obj, corners)
+    made = read_obj(path)
+    corner_uvs = made.uvs[made.uv_corners]
+    loops = _matching_loops(obj, made.corners)
     if loops is not None:
         layer_uvs = np.zeros((len(obj.data.loops), 2))
         layer_uvs[loops.ravel()] = corner_uvs.reshape(-1, 2)
@@ -47,7 +32,7 @@ def bring_back(obj: bpy.types.Object, path: Path) -> bpy.types.Object:
             layer.uv.foreach_set("vector", layer_uvs.astype(np.float32).ravel())
             layer.active = layer.active_render = True
             return obj
-    return _new_object(obj, vertices, corners, corner_uvs)
+    return _new_object(obj, made.vertices, made.corners, corner_uvs)
 
 
 def _matching_loops(obj: bpy.types.Object, corners: np.ndarray) -> np.ndarray | None:

@@ -9,6 +9,8 @@ import bpy
 
 from ..blender import cameras, mesh, photos
 from ..contract import scene_folder
+from ..contract.errors import BadInput
+from ..contract.triangles import write_obj
 
 #: File that says a folder is ours to replace.
 MARK = "made-by-dante-w.txt"
@@ -27,13 +29,13 @@ def export_scene(
     """
     found = photos.found(scene)
     if not found:
-        raise scene_folder.BadInput("No camera has a background image; add photos, or import a scene folder.")
+        raise BadInput("No camera has a background image; add photos, or import a scene folder.")
     for photo in found:
         problem = photos.problem(photo)
         if problem:
-            raise scene_folder.BadInput(problem)
+            raise BadInput(problem)
     _empty(folder)
-    mesh.write_obj(folder / "mesh.obj", mesh.evaluated(obj, depsgraph))
+    write_obj(folder / "mesh.obj", mesh.evaluated(obj, depsgraph))
     images = photos.Folder(folder / "images")
     frames = [_frame(scene, photo, depsgraph, images) for photo in found]
     return scene_folder.write_scene(
@@ -48,8 +50,8 @@ def _frame(
     width, height = photos.size_of(photo.image)
     try:
         pose = cameras.pose(camera.matrix_world)
-    except scene_folder.BadInput as error:
-        raise scene_folder.BadInput(f"Camera {photo.camera.name}: {error}.") from error
+    except BadInput as error:
+        raise BadInput(f"Camera {photo.camera.name}: {error}.") from error
     calibration = cameras.calibration(camera.data, width, height, cameras.pixel_aspect(scene))
     return scene_folder.Frame(images.place(photo.image), calibration, pose)
 
@@ -59,9 +61,9 @@ def _empty(folder: Path) -> None:
     try:
         if folder.exists() and any(folder.iterdir()):
             if not (folder / MARK).is_file():
-                raise scene_folder.BadInput(f"{folder} holds other files; choose another output folder.")
+                raise BadInput(f"{folder} holds other files; choose another output folder.")
             shutil.rmtree(folder)  # photos are copies or links: the originals stay
         folder.mkdir(parents=True, exist_ok=True)
         (folder / MARK).write_text("Made by DANTE-W; each export replaces this folder.\n", encoding="utf-8")
     except OSError as error:
-        raise scene_folder.BadInput(f"{folder} cannot be written: {error.strerror}.") from error
+        raise BadInput(f"{folder} cannot be written: {error.strerror}.") from error

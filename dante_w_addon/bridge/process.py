@@ -1,31 +1,34 @@
-"""A subprocess that speaks JSON lines, read by threads so that nobody ever waits on it. Knows no bpy."""
+"""A subprocess that writes JSON lines, read without waiting and without threads. Knows no bpy.
+
+Its pipes are read whenever the owner asks, from a timer or a loop. Pipes rather than files: a backend whose Blender was
+killed finds that nobody reads its lines any more, and ends.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import json
-import math
 import os
-import queue
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from typing import IO, Any
+
+from ..contract.protocol import Message, decode
+
+if sys.platform == "win32":
+    import _winapi
+    import msvcrt
 
 #: Seconds between the polite request to end and the end.
 GRACE = 0.8
-#: Seconds of silence after which the user is told; the backend promises a line a second.
-SILENCE = 20.0
-STAGES = {
-    "traced": ("scene", "unwrap", "rays", "transfer", "plan", "lights", "albedo", "bake", "write"),
-    "field": ("scene", "unwrap", "rays", "optimise", "held-out", "final pass", "bake", "write"),
-}
-CANCELLED = 3
+#: Lines of the log that are kept.
+LOG_LINES = 200
+READ_BYTES = 1 << 16
+#: Reads of a pipe at a time: more than it holds, yet a process that never stops writing does not hold Blender up.
+READS = 16
 
 
 def clean_environment() -> dict[str, str]:
@@ -34,80 +37,90 @@ def clean_environment() -> dict[str, str]:
 
 
 class Process:
-    """A command in a process group of its own.
+    """A command in a process group of its own. Whoever starts it looks at `returncode` now and then, which also reads
+    what it wrote and sees a cancelled one to its end.
 
     Attributes:
-        cancelled: whether `cancel` was called.
+        cancelled: whether it was asked to end.
     """
 
-    def __init__(self, command: Sequence[str]) -> None:
-        """Start `command`; raises OSError where that fails."""
+    def __init__(self, command: Sequence[str | os.PathLike[str]]) -> None:
+        """Start `command`.
+
+        Raises:
+            OSError: it cannot be started.
+        """
         self.cancelled = False
-        self._messages: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        self._log: deque[str] = deque(maxlen=200)
+        self._deadline = 0.0
+        self._messages: list[Message] = []
+        self._log: deque[str] = deque(maxlen=LOG_LINES)
         self._popen = subprocess.Popen(
             [str(part) for part in command],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
+            bufsize=0,
             env=clean_environment(),
-            encoding="utf-8",
-            errors="replace",
             **_own_group(),
         )
-        self._readers = [
-            threading.Thread(target=self._read, args=(stream, parse), daemon=True)
-            for stream, parse in ((self._popen.stdout, True), (self._popen.stderr, False))
-        ]
-        for reader in self._readers:
-            reader.start()
+        self._output, self._errors = Lines(self._popen.stdout), Lines(self._popen.stderr)
 
     @property
     def pid(self) -> int:
+        """Number of the process, and of its group."""
         return self._popen.pid
 
     @property
     def returncode(self) -> int | None:
-        """Exit status once the process has ended and all it wrote has been read, else None."""
-        if self._popen.poll() is None:
-            return None
-        if any(reader.is_alive() for reader in self._readers) and not self.cancelled:
-            return None
-        return self._popen.returncode
+        """Exit status once the process has ended and all it wrote has been read, else None.
 
-    def messages(self) -> list[dict[str, Any]]:
-        """The JSON lines that arrived since the last call."""
-        result = []
-        with contextlib.suppress(queue.Empty):
-            while True:
-                result.append(self._messages.get_nowait())
-        return result
+        A cancelled process has ended when its whole group is gone. What is left of it after GRACE seconds is killed here.
+        """
+        ended = self._popen.poll() is not None  # before reading: an ended process writes no more
+        self._read(last=ended)
+        if self.cancelled and self._group_alive():
+            if time.monotonic() < self._deadline:
+                return None
+            self._signal(polite=False)
+        return self._popen.returncode if ended else None
+
+    def messages(self) -> list[Message]:
+        """The messages that arrived since the last call."""
+        self._read()
+        messages, self._messages = self._messages, []
+        return messages
 
     def last_lines(self, count: int = 6) -> list[str]:
-        """The end of the log, for when it crashed."""
+        """The end of the log: lines that are no messages."""
         return list(self._log)[-count:]
 
     def cancel(self) -> None:
-        """End the whole process group, within GRACE seconds, without waiting for it here."""
-        if self.cancelled:
-            return
-        self.cancelled = True
-        self._signal(polite=True)
-        threading.Thread(target=self._make_sure, daemon=False).start()
+        """Ask the whole process group to end, without waiting for it here."""
+        if not self.cancelled and self.returncode is None:
+            self.cancelled, self._deadline = True, time.monotonic() + GRACE
+            self._signal(polite=True)
+
+    def close(self) -> None:
+        """End the whole process group and wait until it is gone, which takes GRACE seconds at most and a moment."""
+        self.cancel()
+        while self.returncode is None and time.monotonic() < self._deadline + 1.0:
+            time.sleep(0.01)
 
     def kill(self) -> None:
-        """End the whole process group now; for when Blender itself goes away."""
+        """End the whole process group now."""
         self.cancelled = True
         self._signal(polite=False)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._popen.wait(1.0)
 
-    def _make_sure(self) -> None:
-        deadline = time.monotonic() + GRACE
-        while self._group_alive() and time.monotonic() < deadline:
-            time.sleep(0.02)
-        self._signal(polite=False)
-        self._popen.wait()
+    def _read(self, last: bool = False) -> None:
+        for line in self._output.read(last):
+            message = decode(line)
+            if message is not None:
+                self._messages.append(message)
+            elif line.strip():
+                self._log.append(line.rstrip())
+        self._log.extend(line.rstrip() for line in self._errors.read(last) if line.strip())
 
     def _group_alive(self) -> bool:
         if self._popen.poll() is None:
@@ -137,114 +150,46 @@ class Process:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._popen.pid, signal.SIGTERM if polite else signal.SIGKILL)
 
-    def _read(self, stream: Any, parse: bool) -> None:
-        with contextlib.suppress(ValueError, OSError), stream:
-            for line in stream:
-                message = _parse(line) if parse else None
-                if message is not None:
-                    self._messages.put(message)
-                elif line.strip():
-                    self._log.append(line.rstrip())
+
+class Lines:
+    """The lines of a pipe, as far as they have arrived."""
+
+    def __init__(self, pipe: IO[bytes]) -> None:
+        """Take over `pipe`, the reading end."""
+        self._pipe, self._rest = pipe, b""
+        if sys.platform != "win32":
+            os.set_blocking(pipe.fileno(), False)
+
+    def read(self, last: bool = False) -> list[str]:
+        """Whole lines that arrived since the last call, without their ends. `last`: nothing more is to come, so what has no
+        end is a line as well; a child of an ended process may still hold the pipe open."""
+        for _ in range(READS):
+            arrived = None if self._pipe.closed else read_now(self._pipe.fileno())
+            if not arrived:
+                break
+            self._rest += arrived
+        if last or arrived == b"":
+            self._pipe.close()
+        *lines, self._rest = self._rest.split(b"\n")
+        if self._pipe.closed and self._rest:
+            lines, self._rest = [*lines, self._rest], b""
+        return [line.decode("utf-8", "replace") for line in lines]
+
+
+def read_now(descriptor: int) -> bytes | None:
+    """What a pipe holds: b"" at its end, None where nothing has arrived. Never waits."""
+    try:
+        if sys.platform == "win32":  # Python 3.11 cannot make pipes non-blocking there
+            waiting = _winapi.PeekNamedPipe(msvcrt.get_osfhandle(descriptor), 0)[0]
+            return os.read(descriptor, min(waiting, READ_BYTES)) if waiting else None
+        return os.read(descriptor, READ_BYTES)
+    except BlockingIOError:
+        return None
+    except OSError:  # Windows says so when the other end is closed
+        return b""
 
 
 def _own_group() -> dict[str, Any]:
     if sys.platform == "win32":
         return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
     return {"start_new_session": True}
-
-
-def _parse(line: str) -> dict[str, Any] | None:
-    try:
-        message = json.loads(line)
-    except ValueError:
-        return None
-    return message if isinstance(message, dict) and "stage" in message else None
-
-
-def decisions(plan: Any) -> list[dict[str, str]]:
-    """The lines of a plan that say `what` is decided, the `choice` and its `reason`; others are left out."""
-    said = ("what", "choice", "reason")
-    lines = plan if isinstance(plan, list) else []
-    return [
-        line for line in lines if isinstance(line, dict) and all(isinstance(line.get(k), str) for k in said)
-    ]
-
-
-def _number(value: Any) -> float | None:
-    """A finite number, or None."""
-    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
-
-
-@dataclass
-class Progress:
-    """How far the backend is, from its messages and its end."""
-
-    state: str = "running"  # running, done, failed, cancelled
-    stage: str = "scene"
-    step: float = 0.0
-    total: float = 0.0
-    loss: float | None = None
-    seconds_left: float | None = None
-    expected: dict[str, Any] = field(default_factory=dict)
-    plan: list[dict[str, str]] = field(default_factory=list)
-    out: str = ""
-    report: dict[str, Any] = field(default_factory=dict)
-    code: int = 0
-    message: str = ""
-    heard: float = field(default_factory=time.monotonic)
-
-    @property
-    def fraction(self) -> float:
-        """Part of the present stage that is done."""
-        return min(max(self.step / self.total, 0.0), 1.0) if self.total else 0.0
-
-    @property
-    def place(self) -> tuple[int, int]:
-        """Number of the present stage, 0 if unknown, and how many there are, whichever model runs."""
-        stages = next((own for own in STAGES.values() if self.stage in own), ())
-        return (stages.index(self.stage) + 1 if stages else 0), len(stages)
-
-    @property
-    def silent(self) -> float:
-        """Seconds since the last message, where that is longer than it should be, else 0."""
-        seconds = time.monotonic() - self.heard
-        return seconds if self.state == "running" and seconds > SILENCE else 0.0
-
-    def follow(self, process: Process) -> list[dict[str, Any]]:
-        """Take in what `process` said and whether it ended; returns the new messages."""
-        code = process.returncode  # before the messages, so that none comes after the end
-        messages = process.messages()
-        for message in messages:
-            self._take(message)
-        if code is not None and self.state == "running":
-            self._end(code, process)
-        return messages
-
-    def _take(self, message: dict[str, Any]) -> None:
-        self.heard = time.monotonic()
-        if message["stage"] == "done":
-            self.out, self.report = str(message.get("out", "")), dict(message.get("report") or {})
-        elif message["stage"] == "error":
-            self.code, self.message = int(message.get("code", 1)), str(message.get("message", ""))
-        elif message["stage"] == "expected":
-            self.expected = {key: value for key, value in message.items() if key != "stage"}
-        elif message["stage"] == "planned":
-            self.plan = decisions(message.get("decisions"))
-        else:
-            self.stage = str(message["stage"])
-            self.step, self.total = _number(message.get("step")) or 0.0, _number(message.get("total")) or 0.0
-            self.seconds_left = _number(message.get("seconds_left"))
-            loss = _number(message.get("loss"))
-            self.loss = self.loss if loss is None else loss
-
-    def _end(self, code: int, process: Process) -> None:
-        if process.cancelled or code == CANCELLED:
-            self.state, self.code, self.message = "cancelled", CANCELLED, "Cancelled."
-        elif code == 0 and self.out:
-            self.state, self.code = "done", 0
-        else:
-            self.state = "failed"
-            self.code = code if code > 0 else 1
-            if not self.message:
-                lines = process.last_lines()
-                self.message = "\n".join([f"The backend stopped with status {code}.", *lines])

@@ -8,7 +8,7 @@ import bpy
 from bpy.props import StringProperty
 
 from ..blender import photos, scene_import
-from ..contract import scene_folder
+from ..contract.errors import BadInput
 
 
 class DANTEW_OT_import_scene(bpy.types.Operator):
@@ -28,7 +28,7 @@ class DANTEW_OT_import_scene(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
             made = scene_import.import_folder(context, Path(bpy.path.abspath(self.filepath)))
-        except scene_folder.BadInput as error:
+        except BadInput as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         for warning in made.warnings:
@@ -54,7 +54,7 @@ class DANTEW_OT_match_render(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
             width, height = photos.size_of(active_photo(context.scene).image)
-        except scene_folder.BadInput as error:
+        except BadInput as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         context.scene.render.resolution_x, context.scene.render.resolution_y = width, height

@@ -8,7 +8,7 @@ from bpy_extras import view3d_utils
 from mathutils import Vector
 
 from ..blender import known_colours, properties, surface, survey
-from ..contract import scene_folder
+from ..contract.errors import BadInput
 
 #: What moves the view while a spot is looked for.
 NAVIGATION = {
@@ -59,7 +59,7 @@ class DANTEW_OT_pick_known_colour(bpy.types.Operator):
             cls.poll_message_set("Leave edit mode first")
         elif not obj.visible_get():
             cls.poll_message_set("Unhide the mesh first")
-        elif properties.of(context.scene).unwrap:
+        elif properties.settings_of(context.scene).unwrap:
             cls.poll_message_set("A spot does not fit new UVs; turn off Options > Make New UVs")
         else:
             return True
@@ -100,7 +100,7 @@ class DANTEW_OT_pick_known_colour(bpy.types.Operator):
             if face < 0:
                 point, face = surface.nearest(obj, depsgraph, point)
             spot = known_colours.add(obj, depsgraph, point, face)
-        except scene_folder.BadInput as error:
+        except BadInput as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         spot.grey, spot.colour = self.grey, self.colour
@@ -130,10 +130,10 @@ class DANTEW_OT_remove_known_colour(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         obj = survey.active_mesh(context)
-        return obj is not None and len(known_colours.of(obj)) > 0
+        return obj is not None and len(known_colours.spots_of(obj)) > 0
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        spots = known_colours.of(survey.active_mesh(context))
+        spots = known_colours.spots_of(survey.active_mesh(context))
         if self.index >= len(spots):
             self.report({"ERROR"}, f"There are only {len(spots)} known colours.")
             return {"CANCELLED"}

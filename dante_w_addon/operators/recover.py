@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 from bpy.props import EnumProperty
 
 from ..blender import known_colours, material, properties, survey
 from ..blender.paths import is_temporary, run_folder
-from ..bridge import export, interpreter, job, result
-from ..contract import scene_folder
+from ..bridge import export, interpreter, job, recovery
+from ..contract.command import Request
+from ..contract.errors import BadInput
 from . import windows
 
 
@@ -28,40 +31,47 @@ class DANTEW_OT_recover(bpy.types.Operator):
         elif interpreter.backend_python() is None:
             cls.poll_message_set("Set the backend up first")
         else:
-            problems = survey.take(context.scene, obj).problems
+            unusable = properties.preset_problem(properties.settings_of(context.scene))
+            problems = [*filter(None, [unusable]), *survey.examine(context.scene, obj).problems]
             if not problems:
                 return True
             cls.poll_message_set(problems[0])
         return False
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        settings, obj = properties.of(context.scene), survey.active_mesh(context)
+        settings, obj = properties.settings_of(context.scene), survey.active_mesh(context)
         folder = run_folder(settings.output_folder, obj.name)
-        size = 0 if settings.texture_size == "AUTO" else int(settings.texture_size)
+        request = _request(settings, obj, folder)
+        # Images in a folder that Blender deletes when it quits would be lost.
+        pack = settings.storage == "PACK" or is_temporary(folder)
         try:
-            depsgraph = context.evaluated_depsgraph_get()
-            export.export_scene(context.scene, obj, depsgraph, folder / "scene")
-            command = result.recover_command(
-                interpreter.backend_python(),
-                folder / "scene",
-                folder / "result",
-                preset=settings.preset,
-                texture_size=size,
-                device=settings.device,
-                file_format=settings.file_format,
-                priors=bpy.path.abspath(settings.prior_folder) if settings.prior_folder else "",
-                unwrap_mesh=settings.unwrap,
-                known=known_colours.words(obj),
-                irradiance=settings.irradiance,
-                **properties.parts(settings),
-            )
-            # Images in a folder that goes with Blender's end would be lost.
-            pack = settings.storage == "PACK" or is_temporary(folder)
-            job.start_recovery(command, obj, folder / "result", pack)
-        except (scene_folder.BadInput, OSError) as error:
+            export.export_scene(context.scene, obj, context.evaluated_depsgraph_get(), request.scene)
+            command = recovery.command(interpreter.backend_python(), request)
+            job.start_recovery(command, obj, request.out, pack)
+        except (BadInput, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return {"FINISHED"}
+
+
+def _request(settings: properties.DANTEW_PG_settings, obj: bpy.types.Object, folder: Path) -> Request:
+    """What the panel's settings ask of the backend; scene and result go into `folder`."""
+    traced = settings.irradiance == "traced"
+    components, left_out = properties.component_choices(settings) if traced else ((), ())
+    return Request(
+        scene=folder / "scene",
+        out=folder / "result",
+        model=settings.irradiance,
+        preset=settings.preset,
+        texture_size=0 if settings.texture_size == properties.AUTOMATIC else int(settings.texture_size),
+        file_format=settings.file_format,
+        device=settings.device,
+        priors=Path(bpy.path.abspath(settings.prior_folder)) if settings.prior_folder else None,
+        unwrap=settings.unwrap,
+        known=known_colours.as_words(obj),
+        components=components,
+        left_out=left_out,
+    )
 
 
 class DANTEW_OT_cancel(bpy.types.Operator):
@@ -110,14 +120,14 @@ class DANTEW_OT_open_report(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         obj = survey.active_mesh(context)
-        return obj is not None and material.REPORT in obj
+        return obj is not None and material.REPORT_TEXT in obj
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         obj = survey.active_mesh(context)
         name = f"{obj.name} report.json"
         text = bpy.data.texts.get(name) or bpy.data.texts.new(name)
         text.clear()
-        text.write(obj[material.REPORT])
+        text.write(obj[material.REPORT_TEXT])
         text.cursor_set(0)
         windows.open_editor(context, "TEXT_EDITOR", text)
         return {"FINISHED"}

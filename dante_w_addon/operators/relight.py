@@ -122,7 +122,7 @@ class DANTEW_OT_relight(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        settings = properties.of(context.scene)
+        settings = properties.settings_of(context.scene)
         if not hasattr(context.scene, "cycles"):
             cls.poll_message_set("Turn on the Cycles add-on in the preferences")
         elif context.scene.camera is None:
@@ -155,7 +155,7 @@ class DANTEW_OT_relight(bpy.types.Operator):
         return {"FINISHED"}
 
     def _prepare(self, context: bpy.types.Context) -> tuple[studio.Studio, list[Path], str]:
-        settings = properties.of(context.scene)
+        settings = properties.settings_of(context.scene)
         size = TILE_SIZE if self.every else STILL_SIZE
         look = studio.Look(settings.rotation, settings.strength, settings.samples, size)
         one = hdris.file_of(settings.hdri, settings.hdri_file)

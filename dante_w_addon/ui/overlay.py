@@ -23,7 +23,7 @@ def draw() -> None:
     if obj is None or not context.space_data.overlay.show_overlays:
         return
     scale = context.preferences.system.ui_scale
-    for number, spot in enumerate(known_colours.of(obj), 1):
+    for number, spot in enumerate(known_colours.spots_of(obj), 1):
         place = obj.matrix_world @ Vector(spot.location)
         centre = location_3d_to_region_2d(context.region, context.region_data, place)
         if centre is None:  # behind the viewer

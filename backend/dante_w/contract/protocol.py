@@ -73,10 +73,12 @@ class Planned:
 
 @dataclass(frozen=True)
 class Done:
-    """The end of a run that went well. `out`: absolute path of the result folder, empty where there is none (a plan)."""
+    """The end of a run that went well. `out`: absolute path of the result folder, empty where there is none (a plan).
+    `object_name`: the object that has the result, where Blender ran the command."""
 
     report: dict[str, Any] = field(default_factory=dict)
     out: str = ""
+    object_name: str = ""
 
 
 @dataclass(frozen=True)
@@ -99,8 +101,8 @@ def encode(message: Message) -> str:
     elif isinstance(message, Planned):
         content = {"stage": "planned", "decisions": [asdict(each) for each in message.decisions]}
     elif isinstance(message, Done):
-        out = {"out": message.out} if message.out else {}
-        content = {"stage": "done", **out, "report": message.report}
+        names = {"out": message.out, "object": message.object_name}
+        content = {"stage": "done", **{k: v for k, v in names.items() if v}, "report": message.report}
     else:
         content = {"stage": "error", "code": message.code, "message": message.message}
     return json.dumps(content, allow_nan=False)
@@ -121,11 +123,12 @@ def decode(line: str) -> Message | None:
         return Planned(read_decisions(content.get("decisions")))
     if stage == "done":
         report = content.get("report")
-        return Done(report if isinstance(report, dict) else {}, _text(content.get("out")))
+        report = report if isinstance(report, dict) else {}
+        return Done(report, _text(content.get("out")), _text(content.get("object")))
     if stage == "error":
-        code = _number(content.get("code"))
+        code = read_number(content.get("code"))
         return Failed(1 if code is None else int(code), _text(content.get("message")))
-    numbers = {name: _number(content.get(name)) for name in ("step", "total", "loss", "seconds_left")}
+    numbers = {name: read_number(content.get(name)) for name in ("step", "total", "loss", "seconds_left")}
     return Step(
         stage, numbers["step"] or 0.0, numbers["total"] or 0.0, numbers["loss"], numbers["seconds_left"]
     )
@@ -133,17 +136,17 @@ def decode(line: str) -> Message | None:
 
 def read_expected(content: Any) -> Expected | None:
     """What a run was expected to take, from a message or from `expected` in a report; None where that is not said."""
-    if not isinstance(content, dict) or (total := _number(content.get("total_seconds"))) is None:
+    if not isinstance(content, dict) or (total := read_number(content.get("total_seconds"))) is None:
         return None
     stages = content.get("seconds")
     seconds = (
-        {str(k): float(v) for k, v in stages.items() if _number(v) is not None}
+        {str(k): float(v) for k, v in stages.items() if read_number(v) is not None}
         if isinstance(stages, dict)
         else {}
     )
     reached = content.get("albedo_psnr_after_gain")
     values = (
-        [_number(reached.get(name)) for name in ("mean", "lowest", "highest")]
+        [read_number(reached.get(name)) for name in ("mean", "lowest", "highest")]
         if isinstance(reached, dict)
         else []
     )
@@ -162,8 +165,8 @@ def read_decisions(lines: Any) -> tuple[Decision, ...]:
     return tuple(found)
 
 
-def _number(value: Any) -> float | None:
-    """A finite number, or None."""
+def read_number(value: Any) -> float | None:
+    """A finite number, or None for anything else."""
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     return float(value) if number and math.isfinite(value) else None
 

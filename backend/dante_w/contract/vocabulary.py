@@ -2,17 +2,57 @@
 
 A *name* is what the code and people use. A *key* is what stands in JSON and in saved .blend files; keys never change, so
 that old reports and scenes stay readable. Where a key is older than its name, both are accepted on the command line.
+
+The order of the dictionaries is fixed as well: a .blend file stores the number of a chosen value, not its key.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-PRESETS = ("draft", "standard", "high", "paper")
-#: How irradiance is modelled: light traced through the mesh, or the paper's field over space.
-MODELS = ("traced", "field")
-FORMATS = ("png", "png16", "exr")
-DEVICES = ("auto", "cpu", "cuda", "mps")
+
+@dataclass(frozen=True)
+class Label:
+    """How a value of an option is shown to people: its `title` in a menu and an `explanation` without a full stop."""
+
+    title: str
+    explanation: str
+
+
+PRESETS = {
+    "draft": Label("Draft", "A first look: fewer directions of light and no suns"),
+    "standard": Label("Standard", "The usual choice"),
+    "high": Label("High", "Slower: four times as many shading points, textures up to 8192 texels a side"),
+    "paper": Label(
+        "Paper",
+        "The settings of the DANTE-W paper, for the paper's model only: needs albedo priors, slow without a GPU",
+    ),
+}
+#: How light is modelled.
+MODELS = {
+    "traced": Label(
+        "Traced Light",
+        "Light is traced through the mesh, with shadows and bounced light. Needs no albedo priors",
+    ),
+    "field": Label(
+        "The Paper's Model",
+        "Two neural fields, albedo and irradiance, are fitted together. Better with albedo priors",
+    ),
+}
+#: The presets of each model of light.
+MODEL_PRESETS = {"traced": ("draft", "standard", "high"), "field": tuple(PRESETS)}
+FORMATS = {
+    "png": Label("PNG 8 bit", "sRGB, 8 bits per channel"),
+    "png16": Label("PNG 16 bit", "sRGB, 16 bits per channel"),
+    "exr": Label("OpenEXR", "Linear, 16-bit floating point"),
+}
+#: What the paper's model computes on; traced light runs on the CPU.
+DEVICES = {
+    "auto": Label("Automatic", "A GPU if one works, otherwise the CPU"),
+    "cpu": Label("CPU", "All cores of the processor"),
+    "cuda": Label("CUDA", "An NVIDIA GPU"),
+    "mps": Label("Metal", "An Apple GPU"),
+}
 #: Texels along a side of a texture.
 LARGEST_TEXTURE = 16384
 
@@ -39,9 +79,12 @@ COMPONENTS = (
     Component("exposures", "exposures", "Exposures", "Photos have different exposures"),
     Component("bounce", "bounce", "Bounced Light", "Light that the mesh reflects onto itself"),
     Component(
-        "specular", "gloss", "Specular", "Reflections of the light on the surface, beside its own colour"
+        "specular",
+        "gloss",
+        "Specular",
+        "Highlights: light that the surface reflects without taking on its colour",
     ),
-    Component("sun", "sun", "Sun", "A small, strong light that throws sharp shadows"),
+    Component("sun", "sun", "Sun", "A small, strong light that casts sharp shadows"),
 )
 
 #: Stages of a run by model, in their order, as they stand in JSON lines and in the report's `seconds`.
@@ -51,6 +94,20 @@ STAGES = {
 }
 #: The stage whose key is older than its name.
 LIGHT_TRANSPORT = "transfer"
+_STAGE_TITLES = {
+    "scene": "Reading the scene",
+    "unwrap": "Making UVs",
+    "rays": "Casting rays",
+    LIGHT_TRANSPORT: "Tracing light",
+    "plan": "Planning",
+    "lights": "Solving for lights",
+    "albedo": "Computing albedo",
+    "optimise": "Fitting",
+    "held-out": "Checking held-out photos",
+    "final pass": "Fitting all photos",
+    "bake": "Baking",
+    "write": "Writing files",
+}
 
 
 def component(word: str) -> Component:
@@ -63,3 +120,24 @@ def component(word: str) -> Component:
         if word in (each.name, each.key):
             return each
     raise KeyError(word)
+
+
+def stage_title(stage: str) -> str:
+    """What a stage does, for people.
+
+    >>> stage_title("lights"), stage_title("some new stage")
+    ('Solving for lights', 'Some new stage')
+    """
+    return _STAGE_TITLES.get(stage, stage.capitalize())
+
+
+def decision_title(what: str) -> str:
+    """What a line of the plan decides, for people; old reports have keys of components there.
+
+    >>> decision_title("gloss"), decision_title("texture")
+    ('Specular', 'Texture')
+    """
+    try:
+        return component(what).title
+    except KeyError:
+        return what.capitalize()

@@ -15,7 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from dante_w.contract import triangles
 from dante_w.contract.errors import BadInput, OutOfRoom
+from dante_w.contract.triangles import Triangles
 from dante_w.scene.mesh_glb import parse_glb
 from dante_w.scene.mesh_obj import parse_obj
 from dante_w.scene.mesh_ply import parse_ply
@@ -115,20 +117,10 @@ def write_obj(path: Path, mesh: Mesh) -> None:
         OutOfRoom: the disk is full.
         BadInput: the file cannot be created.
     """
+    uvs = (None, None) if mesh.uvs is None else _table(mesh.uvs)
+    normals = (None, None) if mesh.normals is None else _table(mesh.normals)
     try:
-        with open(path, "w", encoding="ascii", newline="\n") as target:
-            target.writelines(f"v {x!r} {y!r} {z!r}\n" for x, y, z in mesh.vertices.tolist())
-            columns, corner = [mesh.faces + 1], "{}"
-            for keyword, values in (("vt", mesh.uvs), ("vn", mesh.normals)):
-                if values is None:
-                    continue
-                table, index = unique_rows(values.reshape(-1, values.shape[2]))
-                target.writelines(f"{keyword} {' '.join(map(repr, row))}\n" for row in table.tolist())
-                columns.append(index.reshape(-1, 3) + 1)
-                corner += "//{}" if keyword == "vn" and mesh.uvs is None else "/{}"
-            line = f"f {corner} {corner} {corner}\n"
-            corners = np.stack(columns, axis=2).reshape(len(mesh.faces), -1)
-            target.writelines(line.format(*row) for row in corners.tolist())
+        triangles.write_obj(path, Triangles(mesh.vertices, mesh.faces, *uvs, *normals))
     except OSError as error:
         if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", None)):
             if not os.path.islink(path):
@@ -137,6 +129,12 @@ def write_obj(path: Path, mesh: Mesh) -> None:
         raise BadInput(
             f"{path}: cannot be written ({error.strerror}); choose a folder you may write to."
         ) from error
+
+
+def _table(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What corners have (F, 3, width): the distinct rows, and which of them each corner (F, 3) has."""
+    table, index = unique_rows(values.reshape(-1, values.shape[2]))
+    return table, index.reshape(-1, 3)
 
 
 def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
