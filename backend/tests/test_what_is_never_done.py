@@ -128,6 +128,16 @@ def test_the_search_passes_over_what_is_harmless():
     )
 
 
+def test_blenders_process_has_one_thread():
+    """Blender's API documentation warns of Python threads: they crash it beside Cycles."""
+    modules = {"threading", "_thread", "concurrent", "multiprocessing", "queue"}
+    for file in (ROOT / "dante_w_addon").rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) and not node.level else []
+            assert not {name.split(".")[0] for name in names} & modules, file.name
+
+
 def test_only_the_set_up_button_downloads_and_it_asks_for_online_access():
     callers = [
         file.name
