@@ -1,6 +1,7 @@
 """Rays against closed forms on a square."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,10 @@ from conftest import CAMERA, cast, make_scene, pose
 from dante_w.commands.cli import main
 from dante_w.contract.errors import BadInput
 from dante_w.contract.scene_folder import Frame
-from dante_w.rays import raycast
+from dante_w.rays import scene3d
 from dante_w.rays.cast_photos import CastSettings
 from dante_w.rays.ray_cache import RayCache, sample_bytes
-from dante_w.rays.raycast import Frame3D, Raycaster
+from dante_w.rays.raycast import Frame3D, Raycaster, RaycastSettings
 from dante_w.scene.load import load_scene
 
 CPU = torch.device("cpu")
@@ -164,9 +165,10 @@ def test_rays_without_direction_hit_nothing(scene):
 
 @pytest.mark.parametrize("size", [1 << 45, 1 << 62])  # more than there is, more than a number of bytes may be
 def test_no_memory_for_the_mesh_is_said_before_embree_crashes(scene, tmp_path, monkeypatch, capsys, size):
-    monkeypatch.setattr(raycast, "BYTES_PER_TRIANGLE", size)
     mesh = load_scene(scene)[1]
+    settings = RaycastSettings(triangle_bytes=size)
     with pytest.raises(MemoryError):
-        Raycaster(mesh, Frame3D.around(mesh))
+        Raycaster(mesh, Frame3D.around(mesh), settings)
+    monkeypatch.setattr(scene3d, "Raycaster", partial(Raycaster, settings=settings))
     assert main(["average", str(scene), "--out", str(tmp_path / "out")]) == 4
     assert "memory" in capsys.readouterr().err.splitlines()[-1]

@@ -19,7 +19,7 @@ from dante_w.field.cpu.kernels.functions import srgb_from_linear as kernel_srgb
 from dante_w.field.fields import Model, ModelSpec
 from dante_w.field.hash_encoding import GridSpec, HashGrid, encode_reference
 from dante_w.field.optimise import FusedStep, LossTerms, Schedule, TorchStep, fit, model_loss
-from dante_w.rays.radiance_levels import GLARING, NEARLY_WHITE, levelled
+from dante_w.rays.radiance_levels import RADIANCE, levelled
 from dante_w.rays.ray_cache import Samples
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.images import read_photo, read_texture, write_exr
@@ -177,7 +177,7 @@ def test_float_photos_of_any_radiance_are_levelled(scale):
     np.testing.assert_allclose(found, wanted, atol=2e-5)
     assert level == pytest.approx(own - np.log(scale), abs=1e-4)
     bright = np.quantile(linear_from_srgb(torch.from_numpy(found)).numpy().max(axis=1), 0.99)
-    assert bright == pytest.approx(NEARLY_WHITE, rel=1e-3)
+    assert bright == pytest.approx(RADIANCE.nearly_white, rel=1e-3)
 
 
 def test_glints_neither_set_the_level_nor_keep_their_brightness():
@@ -185,7 +185,7 @@ def test_glints_neither_set_the_level_nor_keep_their_brightness():
     encoded[:5] = 1e5
     found, _ = levelled(encoded)
     assert found[100] == pytest.approx(levelled(encoded[5:])[0][0], abs=1e-6)
-    assert found.max() == pytest.approx(float(srgb_from_linear(torch.tensor(GLARING))), rel=1e-5)
+    assert found.max() == pytest.approx(float(srgb_from_linear(torch.tensor(RADIANCE.brightest))), rel=1e-5)
     assert (
         levelled(np.zeros((4, 3), np.float32))[1] == 0.0 and levelled(np.zeros((0, 3), np.float32))[1] == 0.0
     )

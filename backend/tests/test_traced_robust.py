@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dante_w.rays.depth_edges import REACH, STEEP, edge_distances
+from dante_w.rays.depth_edges import EDGES, edge_distances
 from dante_w.traced.pixel_weights import (
     AGREED,
     BRIGHTER,
@@ -38,7 +38,7 @@ def test_dark_is_signal_over_signal_and_noise():
 
 
 def test_pixels_away_from_edges_count_fully_and_none_is_lost():
-    weight = edge(np.arange(REACH + 1, dtype=np.uint8))
+    weight = edge(np.arange(EDGES.reach + 1, dtype=np.uint8))
     assert weight[0] > 0.0 and (np.diff(weight[: NEAR_EDGE + 1]) > 0.0).all()
     np.testing.assert_array_equal(weight[NEAR_EDGE:], 1.0)
 
@@ -52,14 +52,14 @@ def test_edges_are_where_depth_jumps_and_not_at_the_photos_border():
     # beside an edge: the two columns at the step, the hole and its four neighbours
     seeds = [(r, c) for r in range(21) for c in (19, 20)] + [(10, 5), (9, 5), (11, 5), (10, 4), (10, 6)]
     brute = np.min([np.maximum(abs(row - r), abs(column - c)) for r, c in seeds], axis=0)
-    np.testing.assert_array_equal(found, np.minimum(brute, REACH))
+    np.testing.assert_array_equal(found, np.minimum(brute, EDGES.reach))
 
 
 def test_a_slope_is_no_edge_until_it_is_too_steep_to_be_seen():
     focal, across = 100.0, np.arange(12)
-    gentle = np.tile(2.0 * (1.0 + 0.9 * STEEP / focal) ** across, (3, 1))
-    steep = np.tile(2.0 * (1.0 + 1.1 * STEEP / focal) ** across, (3, 1))
-    assert (edge_distances(gentle, focal) == REACH).all()
+    gentle = np.tile(2.0 * (1.0 + 0.9 * EDGES.steepness / focal) ** across, (3, 1))
+    steep = np.tile(2.0 * (1.0 + 1.1 * EDGES.steepness / focal) ** across, (3, 1))
+    assert (edge_distances(gentle, focal) == EDGES.reach).all()
     assert (edge_distances(steep, focal) == 0).all()
 
 

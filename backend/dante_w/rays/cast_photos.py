@@ -14,10 +14,10 @@ import torch
 from dante_w.contract.errors import BadInput
 from dante_w.contract.scene_folder import Frame
 from dante_w.core.jit import njit_fast
-from dante_w.rays.depth_edges import edge_distances
+from dante_w.rays.depth_edges import EDGES, EdgeSettings, edge_distances
 from dante_w.rays.finest_footprint import no_footprints, note_finest
-from dante_w.rays.normals import corner_normals
-from dante_w.rays.radiance_levels import levelled
+from dante_w.rays.normals import NORMALS, NormalSettings, corner_normals
+from dante_w.rays.radiance_levels import RADIANCE, RadianceSettings, levelled
 from dante_w.rays.ray_cache import PhotoSamples, RayCache, RayCacheBuilder, Surface, sample_bytes
 from dante_w.rays.raycast import Hits
 from dante_w.rays.scene3d import Scene3D
@@ -27,21 +27,20 @@ from dante_w.scene.images import Photo, read_photo, read_prior
 
 @dataclass(frozen=True)
 class CastSettings:
-    """How photos are cast.
+    """Which pixels become samples, and where samples are kept."""
 
-    Attributes:
-        grazing: cosine between ray and normal; surfaces seen at a flatter angle are left out, as their pixels smear
-            over many texels.
-        least_footprint: parts of the texture's side; footprints are at least this, a quarter of the finest texel, as
-            a camera may touch the surface.
-        share_of_memory: part of the free memory that the cache may fill; a larger one lies in files.
-        pixels_at_once: pixels made into rays at once, which bounds the memory of their rays and hits.
-    """
-
+    #: Cosine between ray and normal: surfaces seen at a flatter angle are left out, as their pixels smear over many texels.
     grazing: float = 0.1
+    #: Parts of the texture's side: footprints are at least this, a quarter of the finest texel. A camera may touch the
+    #: surface.
     least_footprint: float = 2.0**-16
+    #: Part of the free memory that the cache may fill; a larger one lies in files.
     share_of_memory: float = 1.0 / 3.0
+    #: Pixels made into rays at once, which bounds the memory of rays and hits.
     pixels_at_once: int = 1 << 20
+    edges: EdgeSettings = EDGES
+    normals: NormalSettings = NORMALS
+    radiance: RadianceSettings = RADIANCE
 
 
 CAST = CastSettings()
@@ -87,7 +86,7 @@ def cast_photos(
                 loading.append(readers.submit(_read, frames[index + 2]))
             pixel, face, bary, footprint, edge = _cast_photo(frame, photo, scene3d, settings)
             colour = photo.srgb.reshape(-1, 3)[pixel]
-            stored, level = levelled(colour) if photo.linear else (colour, 0.0)
+            stored, level = levelled(colour, settings.radiance) if photo.linear else (colour, 0.0)
             albedo = None if albedo is None else albedo.reshape(-1, 4)[pixel]
             builder.add(PhotoSamples(face, bary, stored, footprint, edge, albedo, level))
             any_foreground = any_foreground or bool(photo.foreground.any())
@@ -105,13 +104,13 @@ def cast_photos(
             f"{frames[0].image.parent}: no pixel sees the mesh; check that cameras and mesh share one "
             "coordinate system."
         )
-    return builder.finish(surface(scene3d), finest)
+    return builder.finish(surface(scene3d, settings.normals), finest)
 
 
-def surface(scene3d: Scene3D) -> Surface:
+def surface(scene3d: Scene3D, settings: NormalSettings = NORMALS) -> Surface:
     """The corners' UVs, positions and shading normals, as samples need them; the mesh has UVs."""
     corners = scene3d.corners()
-    normals = corner_normals(scene3d.mesh, corners, scene3d.face_normals)
+    normals = corner_normals(scene3d.mesh, corners, scene3d.face_normals, settings)
     arrays = scene3d.mesh.uvs, corners, normals
     return Surface(*(torch.from_numpy(np.asarray(array, np.float32)) for array in arrays))
 
@@ -161,7 +160,7 @@ def _cast_photo(
         )
     pixel, face, bary, footprint = (np.concatenate(column) for column in zip(*parts, strict=True))
     image = depth.reshape(frame.camera.height, frame.camera.width)
-    edge = edge_distances(image, frame.camera.params[0]).reshape(-1)
+    edge = edge_distances(image, frame.camera.params[0], settings.edges).reshape(-1)
     return pixel, face, bary, footprint, edge[pixel]
 
 

@@ -15,19 +15,16 @@ from dante_w.scene.cameras import directions
 
 @dataclass(frozen=True)
 class GlanceSettings:
-    """How many rays are cast, and what is made of them.
+    """How many rays are cast, and what is made of them."""
 
-    Attributes:
-        photos: evenly spread photos that are looked at, at most.
-        pixels: along either side of each of these photos.
-        sharpest: part of the samples that may be finer than the texture made for them: a few pixels from close by
-            are not worth a texture four times as large.
-        filled: part of the texture that new charts fill, about, while the mesh has no UVs yet.
-    """
-
+    #: Evenly spread photos that are looked at, at most.
     photos: int = 64
+    #: Pixels along either side of each of these photos.
     pixels: int = 48
+    #: Part of the samples that may be finer than the texture made for them: a few pixels from close by are not worth a
+    #: texture four times as large.
     sharpest: float = 0.25
+    #: Part of the texture that new charts fill, about, while the mesh has no UVs yet.
     filled: float = 0.6
 
 

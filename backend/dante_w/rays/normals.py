@@ -1,13 +1,15 @@
 """Shading normals: how the surface that a mesh stands for is turned at the corners of its faces.
 
-A mesh's own normals say so where it has some. Where it has none it is a scan as a rule, whose faces lie a little askew of a
-smooth surface: there a corner's normal is the mean over the faces around its vertex that are turned by less than `CREASE`
-from its own, weighted by their angles (Thürmer and Wüthrich, "Computing vertex normals from polygonal facets", 1998).
+A mesh's own normals are taken where it has some. Where it has none it is a scan as a rule, whose faces lie a little askew
+of a smooth surface. There a corner's normal is the mean over the faces around its vertex that are turned by less than the
+crease angle from its own, weighted by their angles (Thürmer and Wüthrich, "Computing vertex normals from polygonal
+facets", 1998).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numba import prange
@@ -15,21 +17,33 @@ from numba import prange
 from dante_w.core.jit import njit_parallel
 from dante_w.scene.mesh import Mesh
 
-#: Faces that are turned further from each other meet in an edge.
-CREASE = math.radians(45.0)
-#: Faces around a vertex that are asked at most: a fan of a million would take as many steps, squared.
-MOST = 64
+
+@dataclass(frozen=True)
+class NormalSettings:
+    """Which faces around a vertex share a smooth normal."""
+
+    #: Degrees: faces that are turned further from each other meet in an edge. Half a right angle keeps the edges of what
+    #: is built and smooths the noise of a scan.
+    crease: float = 45.0
+    #: Faces around a vertex that are averaged at most: a fan of a million would take as many steps, squared.
+    most_faces: int = 64
 
 
-def corner_normals(mesh: Mesh, corners: np.ndarray, face_normals: np.ndarray) -> np.ndarray:
+NORMALS = NormalSettings()
+
+
+def corner_normals(
+    mesh: Mesh, corners: np.ndarray, face_normals: np.ndarray, settings: NormalSettings = NORMALS
+) -> np.ndarray:
     """(F, 3, 3) float32 unit normals of the faces' corners, on the side to which the face's own points: the mesh's where it
     has one, else made from the faces around, whichever way these are wound; zero at faces of no area.
 
     Args:
-        corners: (F, 3, 3) positions. face_normals: (F, 3), zero for faces of no area.
+        corners: (F, 3, 3) positions, in any frame that is not rotated against the mesh's.
+        face_normals: (F, 3) unit normals, zero for faces of no area.
     """
     if mesh.normals is None:
-        return _smooth(mesh, corners, face_normals)
+        return _smooth(mesh, corners, face_normals, settings)
     normals = np.array(mesh.normals, np.float32)
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.linalg.norm(normals, axis=2, keepdims=True)
@@ -38,18 +52,21 @@ def corner_normals(mesh: Mesh, corners: np.ndarray, face_normals: np.ndarray) ->
         normals *= np.sign(cosine)[:, :, None]
     sound = np.abs(cosine) > 0.0  # neither 0 nor NaN
     if not sound.all():
-        normals[~sound] = _smooth(mesh, corners, face_normals)[~sound]
+        normals[~sound] = _smooth(mesh, corners, face_normals, settings)[~sound]
     return normals
 
 
-def _smooth(mesh: Mesh, corners: np.ndarray, face_normals: np.ndarray) -> np.ndarray:
+def _smooth(
+    mesh: Mesh, corners: np.ndarray, face_normals: np.ndarray, settings: NormalSettings
+) -> np.ndarray:
     place = _places(mesh.vertices)[mesh.faces].reshape(-1)
     order = np.argsort(place, kind="stable")
     first = np.flatnonzero(np.r_[True, np.diff(place[order]) != 0, True])
     angles = np.empty(len(order), np.float32)
     _angles(corners, angles)
     normals = np.empty((len(corners), 3, 3), np.float32)
-    _add_up(order, first, np.asarray(face_normals, np.float32), angles, math.cos(CREASE), normals)
+    crease = math.cos(math.radians(settings.crease))
+    _add_up(order, first, np.asarray(face_normals, np.float32), angles, crease, settings.most_faces, normals)
     return normals
 
 
@@ -69,9 +86,9 @@ def _angles(corners: np.ndarray, angles: np.ndarray) -> None:
     """Fill in (3 F,) the angles of faces (F, 3, 3) at their corners, 0 where a side has no length."""
     for f in prange(len(corners)):
         for c in range(3):
-            to, back = corners[f, (c + 1) % 3] - corners[f, c], corners[f, (c + 2) % 3] - corners[f, c]
-            lengths = math.sqrt((to**2).sum() * (back**2).sum())
-            cosine = (to * back).sum() / lengths if lengths > 0.0 else 1.0
+            a, b = corners[f, (c + 1) % 3] - corners[f, c], corners[f, (c + 2) % 3] - corners[f, c]
+            lengths = math.sqrt((a**2).sum() * (b**2).sum())
+            cosine = (a * b).sum() / lengths if lengths > 0.0 else 1.0
             angles[3 * f + c] = math.acos(min(max(cosine, -1.0), 1.0))
 
 
@@ -82,18 +99,19 @@ def _add_up(
     face_normals: np.ndarray,
     angles: np.ndarray,
     crease: float,
+    most_faces: int,
     normals: np.ndarray,
 ) -> None:
-    """Fill in the normals (F, 3, 3). `order` (3 F,) has the corners vertex after vertex, from `first[v]` to `first[v + 1]`."""
+    """Fill in the normals (F, 3, 3); `crease` is the cosine of the crease angle. `order` (3 F,) has the corners vertex after vertex, from `first[v]` to `first[v + 1]`."""
     for v in prange(len(first) - 1):
-        step = max((first[v + 1] - first[v]) // MOST, 1)
+        step = max((first[v + 1] - first[v]) // most_faces, 1)
         for i in range(first[v], first[v + 1]):
             corner = order[i]
-            own = face_normals[corner // 3]
+            face_normal = face_normals[corner // 3]
             x, y, z = 0.0, 0.0, 0.0
             for j in range(first[v], first[v + 1], step):
                 n, weight = face_normals[order[j] // 3], angles[order[j]]
-                cosine = own[0] * n[0] + own[1] * n[1] + own[2] * n[2]
+                cosine = face_normal[0] * n[0] + face_normal[1] * n[1] + face_normal[2] * n[2]
                 if abs(cosine) >= crease:
                     weight = weight if cosine > 0.0 else -weight  # a face wound the other way
                     x, y, z = x + weight * n[0], y + weight * n[1], z + weight * n[2]
@@ -102,4 +120,4 @@ def _add_up(
             if length > 0.0:
                 out[0], out[1], out[2] = x / length, y / length, z / length
             else:
-                out[:] = own
+                out[:] = face_normal

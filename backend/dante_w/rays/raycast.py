@@ -13,12 +13,22 @@ from embreex.rtcore_scene import EmbreeScene
 
 from dante_w.scene.mesh import Mesh
 
-#: Rays in one Embree call: enough to amortise it, few enough to spread over threads.
-CHUNK = 1 << 17
-#: Address space that Embree takes for a scene at least, and about that for each triangle while it builds.
-OVERHEAD, BYTES_PER_TRIANGLE = 192 << 20, 400
-#: Rays from further off than this, in sides of the unit cube, begin nearer: in float32 they would miss their pixels.
-FAR = 4.0
+
+@dataclass(frozen=True)
+class RaycastSettings:
+    """Limits of Embree."""
+
+    #: Rays in one call: enough to amortise it, few enough to spread over threads.
+    chunk: int = 1 << 17
+    #: Bytes of address space that a scene takes at least ...
+    scene_bytes: int = 192 << 20
+    #: ... and about so many more for each triangle while the BVH is built.
+    triangle_bytes: int = 400
+    #: Sides of the unit cube: rays from further off begin nearer. Embree's float32 would miss their pixels.
+    farthest: float = 4.0
+
+
+RAYCAST = RaycastSettings()
 
 
 @dataclass(frozen=True)
@@ -50,14 +60,14 @@ class Frame3D:
         return (np.asarray(points, np.float64) - self.origin) / self.extent
 
 
-def _make_sure_of_room(triangles: int) -> None:
+def _check_memory(triangles: int, settings: RaycastSettings) -> None:
     """Embree crashes where it finds no memory.
 
     Raises:
         MemoryError: it would.
     """
     try:
-        mmap.mmap(-1, OVERHEAD + triangles * BYTES_PER_TRIANGLE).close()
+        mmap.mmap(-1, settings.scene_bytes + triangles * settings.triangle_bytes).close()
     except (OSError, OverflowError) as error:
         raise MemoryError("out of memory for the mesh") from error
 
@@ -81,13 +91,14 @@ class Raycaster:
         MemoryError: there is none for it.
     """
 
-    def __init__(self, mesh: Mesh, frame: Frame3D) -> None:
-        _make_sure_of_room(len(mesh.faces))
+    def __init__(self, mesh: Mesh, frame: Frame3D, settings: RaycastSettings = RAYCAST) -> None:
+        _check_memory(len(mesh.faces), settings)
+        self._settings = settings
         self._scene = EmbreeScene()
         vertices = frame.normalise(mesh.vertices).astype(np.float32)
         self._mesh = TriangleMesh(self._scene, vertices, mesh.faces.astype(np.int32))
         self._threads = ThreadPoolExecutor(os.cpu_count())
-        self._cast(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the BVH here and now
+        self._cast(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the BVH at once
 
     def cast(self, origin: np.ndarray, directions: np.ndarray) -> Hits:
         """First hits of rays from one point.
@@ -96,31 +107,31 @@ class Raycaster:
             origin: (3,) in the unit cube's frame; may lie outside of it.
             directions: (N, 3), any length; rays with a direction that is not finite hit nothing.
         """
-        away = float(np.linalg.norm(np.asarray(origin) - 0.5))
-        if away <= FAR:
+        distance = float(np.linalg.norm(np.asarray(origin) - 0.5))
+        if distance <= self._settings.farthest:
             return self.cast_from(np.broadcast_to(origin, directions.shape), directions)
         # the cube lies within 0.9 of its centre, so nothing is met before
-        ahead = (away - 0.5 * FAR) / np.linalg.norm(directions, axis=1)
+        ahead = (distance - 0.5 * self._settings.farthest) / np.linalg.norm(directions, axis=1)
         hits = self.cast_from(origin + ahead[:, None] * directions, directions)
         return replace(hits, distance=hits.distance + ahead[hits.ray])
 
     def cast_from(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         """First hits of rays that each have an origin (N, 3) of their own; see `cast`."""
         usable = np.flatnonzero(np.isfinite(directions).all(axis=1))
-        starts = range(0, len(usable), CHUNK)
+        size = self._settings.chunk
 
         def chunk(start: int) -> Hits:
-            rays = usable[start : start + CHUNK]
-            found = self._cast(origins[rays].astype(np.float32), directions[rays].astype(np.float32))
-            hit = np.flatnonzero(found["primID"] >= 0)
+            rays = usable[start : start + size]
+            result = self._cast(origins[rays].astype(np.float32), directions[rays].astype(np.float32))
+            hit = np.flatnonzero(result["primID"] >= 0)
             return Hits(
                 rays[hit],
-                found["primID"][hit],
-                np.column_stack([found["u"][hit], found["v"][hit]]),
-                found["tfar"][hit],
+                result["primID"][hit],
+                np.column_stack([result["u"][hit], result["v"][hit]]),
+                result["tfar"][hit],
             )
 
-        parts = list(self._threads.map(chunk, starts))
+        parts = list(self._threads.map(chunk, range(0, len(usable), size)))
         if not parts:
             empty = np.zeros(0, np.int64)
             return Hits(empty, empty, np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
@@ -130,23 +141,23 @@ class Raycaster:
     def first(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Face (N,), -1 for none, and barycentric weights (N,) of its second and third corner, where rays, float32 (N, 3),
         first hit. Runs in the caller's thread, without the GIL: for callers who have threads of their own."""
-        found = self._cast(origins, directions)
-        return found["primID"], found["u"], found["v"]
+        result = self._cast(origins, directions)
+        return result["primID"], result["u"], result["v"]
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(N,) bool: whether rays, float32 (N, 3), hit anything; otherwise as `first`."""
-        found: np.ndarray = self._scene.run(origins, directions, query="OCCLUDED")
-        return found >= 0
+        face: np.ndarray = self._scene.run(origins, directions, query="OCCLUDED")
+        return face >= 0
 
     def all_blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """As `blocked`, on all cores."""
-        starts = range(0, len(origins), CHUNK)
+        size = self._settings.chunk
         parts = self._threads.map(
-            lambda start: self.blocked(origins[start : start + CHUNK], directions[start : start + CHUNK]),
-            starts,
+            lambda start: self.blocked(origins[start : start + size], directions[start : start + size]),
+            range(0, len(origins), size),
         )
         return np.concatenate([np.zeros(0, bool), *parts])
 
     def _cast(self, origins: np.ndarray, directions: np.ndarray) -> dict[str, np.ndarray]:
-        found: dict[str, np.ndarray] = self._scene.run(origins, directions, query="INTERSECT", output=True)
-        return found
+        result: dict[str, np.ndarray] = self._scene.run(origins, directions, query="INTERSECT", output=True)
+        return result
