@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 import torch
 from dante_w.traced.solver import smoothness_prior as evenness
-from dante_w.traced.solver.smoothness_prior import FAR, NEAR, WEIGHT, smoothness_laplacian
+from dante_w.traced.solver.smoothness_prior import smoothness_laplacian
 from dante_w.traced.solver.solve_lights import solve_lights
 from dante_w.traced.state import Components
 from open_world import PHOTOS, World, make_world
+
+#: What the prior is documented to be, written down here again: each point is paired with its 6 nearest and with 3 anywhere, which
+#: count 0.15 of a near one; where all agree its pairs would count 10 together if all were near.
+NEAR, FAR, PAIR, FAR_PAIR = 6, 3, 10.0 / 9.0, 0.15 * 10.0 / 9.0
 
 
 def unevenness(position: np.ndarray, log_albedo: np.ndarray, of: np.ndarray) -> float:
@@ -26,7 +30,21 @@ def test_it_is_the_weighted_sum_of_squared_differences_over_pairs():
     assert (even - np.diag(np.diag(even)) <= 0.0).all()
     apart = np.linalg.norm(position[:, None] - position, axis=2)
     nearest = np.argsort(apart, axis=1)[:, 1 : NEAR + 1]
-    assert (even[np.arange(40)[:, None], nearest] < -0.99 * WEIGHT / (NEAR + FAR)).all()
+    assert (even[np.arange(40)[:, None], nearest] < -0.99 * PAIR).all()
+
+
+def test_points_anywhere_are_paired_too():
+    """Two clusters far from each other: what ties them together are pairs with points anywhere."""
+    random = np.random.default_rng(4)
+    count = 200
+    position = random.normal(size=(count, 3))
+    position[count // 2 :] += 100.0
+    even = smoothness_laplacian(position, np.zeros((count, 3)), random).to_dense().numpy()
+    assert np.trace(even) == pytest.approx(2.0 * count * (NEAR * PAIR + FAR * FAR_PAIR), rel=1e-5)
+    between = -even[: count // 2, count // 2 :].sum() / FAR_PAIR  # half of the partners anywhere
+    assert between == pytest.approx(count * FAR / 2.0, rel=0.15)
+    apart = np.where(np.arange(count) < count // 2, 0.0, 1.0)
+    assert apart @ even @ apart == pytest.approx(between * FAR_PAIR, rel=1e-4)
 
 
 def test_what_differs_in_colour_or_much_in_brightness_need_not_agree():

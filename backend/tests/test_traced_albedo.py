@@ -35,11 +35,17 @@ class World:
     uv: np.ndarray
 
     def texture(
-        self, weights: Weights = ALL, colour: np.ndarray | None = None, order: np.ndarray = IN_ORDER
+        self,
+        weights: Weights = ALL,
+        colour: np.ndarray | None = None,
+        order: np.ndarray = IN_ORDER,
+        cameras: np.ndarray = CAMERAS,
+        bounce: float = 0.0,
     ) -> np.ndarray:
-        """(SIZE, SIZE, 3) from the photos in some order, or from others of encoded colours (N, 3)."""
+        """(SIZE, SIZE, 3) from the photos in some order, or from others of encoded colours (N, 3), or taken from elsewhere; with
+        bounced light of so much times the sky's."""
         cache = self.cache if colour is None else dataclasses.replace(self.cache, colour=colour)
-        cache, cameras = turned(cache, order), CAMERAS[order]
+        cache, cameras = turned(cache, order), cameras[order]
         points, seen = gather(cache, cameras, weights)
         caster = Raycaster(MESH, FRAME)
         transfer = trace_light_transport(points, caster, UVS, 64, lambda _: None)
@@ -47,7 +53,7 @@ class World:
             RADIANCE,
             (np.arange(PHOTOS) % 2)[order],
             EXPOSURE[order],
-            np.zeros((len(points), 2, 3), np.float32),
+            bounce * np.tile(RADIANCE[:, 0], (len(points), 1, 1)),
             np.ones((len(points), 3), np.float32),
             np.ones(len(points), bool),
         )
@@ -68,12 +74,12 @@ class World:
 
 
 def turned(cache: RayCache, order: np.ndarray) -> RayCache:
-    """The photos in another order."""
+    """The photos in another order, or some of them."""
     count = cache.starts[1]
     rows = (order[:, None] * count + np.arange(count)).reshape(-1)
     assert cache.edge is not None
     columns = {name: getattr(cache, name)[rows] for name in ("face", "bary", "colour", "edge")}
-    return dataclasses.replace(cache, **columns)
+    return dataclasses.replace(cache, starts=cache.starts[: len(order) + 1], **columns)
 
 
 CORNERS = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)])
@@ -128,6 +134,19 @@ def photo_of(world: World) -> np.ndarray:
 
 def test_the_albedo_comes_out_as_it_went_in(world):
     np.testing.assert_allclose(inside(world.texture()), np.broadcast_to(ALBEDO, (784, 3)), rtol=0.03)
+
+
+def test_bounced_light_adds_to_the_irradiance(world):
+    """The sky's irradiance is 1 (or 2), so bounced light of half as much leaves two thirds of the albedo."""
+    lit = inside(world.texture(bounce=0.5))
+    np.testing.assert_allclose(lit, np.broadcast_to(ALBEDO / 1.5, lit.shape), rtol=0.03)
+
+
+def test_a_photo_of_a_sheets_other_side_does_not_count(world):
+    """One of three photos looks from below, where the sky is not: too few for it to be an outlier."""
+    below = np.where(IN_ORDER[:, None] == 4, CAMERAS * (1.0, 1.0, -1.0), CAMERAS)
+    found = inside(world.texture(order=np.array([0, 4, 8]), cameras=below))
+    np.testing.assert_allclose(found, np.broadcast_to(ALBEDO, found.shape), rtol=0.03)
 
 
 def test_of_many_photos_some_observations_stand_for_all(world, monkeypatch):
