@@ -297,7 +297,7 @@ def story(options: argparse.Namespace):
     yield from driver.press("recover")
     yield from driver.wait_for(lambda: not job.recovering(), 600.0, "the recovery")
     assert job.recovery.progress.state == "done", job.recovery.progress.message
-    assert material.shown(obj) == "ALBEDO"
+    assert material.display_of(obj) == "ALBEDO"
     space.shading.type = "MATERIAL"
     yield 15.0  # shaders compile
     yield from driver.rest()
@@ -307,16 +307,16 @@ def story(options: argparse.Namespace):
             step()
         yield 0.5
         obj = bpy.data.objects[name]  # undo makes former references invalid
-        assert (material.shown(obj) == "ALBEDO") == expected, (
+        assert (material.display_of(obj) == "ALBEDO") == expected, (
             "one undo takes the albedo back, redo restores it"
         )
     space = driver.view.spaces.active
     space.shading.type = "SOLID"  # quicker to redraw without a GPU
     space.shading.color_type = "TEXTURE"
     yield from driver.press("show", which="ORIGINAL")
-    assert material.shown(obj) == "ORIGINAL"
+    assert material.display_of(obj) == "ORIGINAL"
     yield from driver.press("show", which="ALBEDO")
-    assert material.shown(obj) == "ALBEDO"
+    assert material.display_of(obj) == "ALBEDO"
 
     yield from driver.press("relight", every=False)
     assert relight.active is not None, "the preview did not start"

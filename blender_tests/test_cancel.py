@@ -34,7 +34,7 @@ def test_cancel_within_a_second_leaves_no_orphan(addon, standin, scene, tmp_path
         assert time.monotonic() - before < 3.0, "still running"
         time.sleep(min(job.tick() or 0.01, 0.05))
     assert finish().state == "cancelled"
-    assert material.shown(bpy.data.objects["Cube"]) is None
+    assert material.display_of(bpy.data.objects["Cube"]) is None
 
 
 def test_opening_another_file_stops_the_backend(addon, standin, scene):

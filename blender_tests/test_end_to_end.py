@@ -75,7 +75,7 @@ def seen_colours(obj):
 def test_photos_become_an_albedo(addon, rendered, backend_python):
     report = recover(1024)
     assert report["held_out_psnr"] > 20.0 and report["coverage"] > 0.8
-    assert material.shown(rendered) == "ALBEDO"
+    assert material.display_of(rendered) == "ALBEDO"
     assert tuple(rendered.active_material.node_tree.nodes.active.image.size) == (1024, 1024)
     colours = seen_colours(rendered)
     assert len(colours) > 100_000
@@ -96,7 +96,7 @@ def test_new_uvs_come_with_the_albedo(addon, rendered, backend_python):
     bpy.context.scene.dante_w.unwrap = True
     recover(1024)
     textured = bpy.context.view_layer.objects.active
-    assert material.shown(textured) == "ALBEDO"
+    assert material.display_of(textured) == "ALBEDO"
     assert textured.data.uv_layers["DANTE-W"].active_render
     middle = np.median(seen_colours(textured), axis=0)
     assert middle / middle.sum() == pytest.approx(ALBEDO / ALBEDO.sum(), abs=0.08)

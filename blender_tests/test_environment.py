@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
+import bpy
 import pytest
-from conftest import HERE
 
 from dante_w_addon.bridge import environment, job, process
 
@@ -76,8 +76,14 @@ def test_the_environment_is_stripped(monkeypatch):
     assert "PYTHONHOME" not in clean and clean["OTHER"] == "kept"
 
 
-def test_check_passes_on_what_the_backend_says():
-    works, said = environment.check(sys.executable, HERE / "standin" / "launch.py")
-    assert works and said == "stand-in: no torch"
-    works, said = environment.check("/no/python", HERE / "standin" / "launch.py")
-    assert not works and "/no/python" in said
+def test_the_backend_is_checked(addon, standin, monkeypatch):
+    assert bpy.ops.dantew.check_python() == {"FINISHED"}
+    assert not bpy.ops.dantew.check_python.poll(), "one at a time"
+    while job.tick() is not None:
+        pass
+    assert (job.task.state, job.task.lines) == ("done", ["stand-in: no torch"])
+    monkeypatch.setenv("DANTEW_BACKEND_PYTHON", __file__)  # a file, but no program
+    bpy.ops.dantew.check_python()
+    while job.tick() is not None:
+        pass
+    assert job.task.state == "failed" and __file__ in job.task.lines[0]

@@ -16,7 +16,7 @@ from dante_w_addon.contract import scene_folder
 
 
 def exported(obj, path):
-    write_obj(path, mesh.evaluated(obj, bpy.context.evaluated_depsgraph_get()))
+    write_obj(path, mesh.evaluated_triangles(obj, bpy.context.evaluated_depsgraph_get()))
     read = read_obj(path)
     return read.vertices, read.uvs, read.corners, read.uv_corners
 
@@ -224,7 +224,7 @@ def test_problems_are_named(tmp_path):
     build(tmp_path / "photos")
     (tmp_path / "photos" / "photo 1.png").unlink()
     bpy.data.objects["Camera 2"].data.type = "ORTHO"
-    said = [photos.problem(photo) for photo in photos.found(bpy.context.scene)]
+    said = [photos.problem(photo) for photo in photos.photos_in(bpy.context.scene)]
     assert [bool(text) for text in said] == [False, True, True, False]
     assert "missing" in said[1] and "perspective" in said[2]
     with pytest.raises(BadInput):

@@ -159,7 +159,7 @@ def test_spots_that_do_not_fit_stand_in_the_way(addon, standin, scene):
     cube = bpy.data.objects["Cube"]
 
     def problems():
-        survey._last = None
+        survey._cache = None
         return survey.examine(scene, cube).problems
 
     pick_two()

@@ -74,9 +74,9 @@ import bl_ext.user_default.dante_w as addon
 from bl_ext.user_default.dante_w import layout
 from bl_ext.user_default.dante_w.bridge import interpreter
 from pathlib import Path
-assert layout.backend_folder().parent == layout.HERE, layout.backend_folder()
-assert interpreter.made_environment().is_relative_to(Path(bpy.utils.resource_path("USER")))
-venv = interpreter.made_environment()
+assert layout.backend_folder().parent == layout.FOLDER, layout.backend_folder()
+assert interpreter.environment_folder().is_relative_to(Path(bpy.utils.resource_path("USER")))
+venv = interpreter.environment_folder()
 python = interpreter.environment.python_in(venv)
 python.parent.mkdir(parents=True)
 python.write_text("")
@@ -98,7 +98,7 @@ while job.tick() is not None:
     time.sleep(0.05)
 assert job.recovery.progress.state == "done", job.recovery.progress.message
 print("textured with", bpy.data.objects["Cube"].active_material.name)
-print(layout.HERE)
+print(layout.FOLDER)
 """
 
 

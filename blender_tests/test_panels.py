@@ -86,7 +86,7 @@ def test_an_old_result_is_shown(addon, scene):
     paint = bpy.data.materials.new("Cube albedo")
     cube["dante_w_originals"] = {"0": cube.active_material}
     cube["dante_w_albedo"], cube["dante_w_report"] = paint, json.dumps(OLD_REPORT)
-    assert material.shown(cube) == "ORIGINAL"
+    assert material.display_of(cube) == "ORIGINAL"
     notes = drawn(panels.DANTEW_PT_result)
     for text in ("26.5 dB", "98.8%", "512 x 512", "4 min (2 min)", "Several Lights: several lights"):
         assert text in notes

@@ -50,7 +50,7 @@ def test_survey_finds_what_is_wrong(addon, standin, scene):
     cube = bpy.data.objects["Cube"]
 
     def problems():
-        survey._last = None
+        survey._cache = None
         return survey.examine(scene, cube).problems
 
     assert problems() == ()

@@ -56,4 +56,4 @@ def test_no_file_imports_itself_by_a_detour():
 def test_the_imports_are_found():
     found = imports()
     assert "ui/panels" in found["__init__"] and "blender/mesh" in found["blender/surface"]
-    assert "contract/errors" in found["blender/mesh"] and "layout" in found["bridge/recovery"]
+    assert "contract/errors" in found["blender/mesh"] and "layout" in found["bridge/interpreter"]

@@ -20,7 +20,7 @@ def test_to_done(addon, standin, scene, tmp_path, monkeypatch):
     progress = finish()
     assert progress.state == "done", progress.message
     assert progress.loss == pytest.approx(0.2)
-    assert material.shown(cube) == "ALBEDO"
+    assert material.display_of(cube) == "ALBEDO"
     texture = cube.active_material.node_tree.nodes.active.image
     assert texture.packed_file and texture.colorspace_settings.name == "sRGB"
     assert [round(255 * value) for value in texture.pixels[:3]] == [200, 120, 40]
@@ -82,7 +82,7 @@ def test_new_uvs_that_do_not_fit_go_to_a_new_object(addon, standin, scene):
     progress = finish()
     made = bpy.context.view_layer.objects.active
     assert made != cube and made.name in progress.message
-    assert material.shown(made) == "ALBEDO" and material.shown(cube) is None
+    assert material.display_of(made) == "ALBEDO" and material.display_of(cube) is None
     assert made.visible_get() and not cube.visible_get()
 
 
@@ -93,9 +93,9 @@ def test_switch_keeps_the_old_material(addon, standin, scene):
         bpy.ops.dantew.recover()
         finish()
     bpy.ops.dantew.show(which="ORIGINAL")
-    assert cube.active_material == original and material.shown(cube) == "ORIGINAL"
+    assert cube.active_material == original and material.display_of(cube) == "ORIGINAL"
     bpy.ops.dantew.show(which="ALBEDO")
-    assert cube.active_material != original and material.shown(cube) == "ALBEDO"
+    assert cube.active_material != original and material.display_of(cube) == "ALBEDO"
     assert original.users > 0, "the original would be lost on saving"
 
 
@@ -115,7 +115,7 @@ def test_result_survives_saving(addon, standin, scene, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
     cube = bpy.data.objects["Cube"]
-    assert material.shown(cube) == "ALBEDO"
+    assert material.display_of(cube) == "ALBEDO"
     material.show(cube, "ORIGINAL")
     assert cube.active_material.name == "Original"
 
@@ -124,7 +124,7 @@ def test_renamed_object_still_gets_its_texture(addon, standin, scene):
     bpy.ops.dantew.recover()
     bpy.data.objects["Cube"].name = "Renamed"
     assert finish().state == "done"
-    assert material.shown(bpy.data.objects["Renamed"]) == "ALBEDO"
+    assert material.display_of(bpy.data.objects["Renamed"]) == "ALBEDO"
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_silence_is_noticed(addon, standin, scene):
         job.tick()
         assert time.monotonic() < end
     assert not job.recovery.progress.silent
-    job.recovery.progress.heard -= 2 * SILENCE  # as if so long ago
+    job.recovery.progress.last_time -= 2 * SILENCE  # as if so long ago
     job.tick()
     assert job.recovery.progress.silent >= 2 * SILENCE
 

@@ -82,12 +82,12 @@ def place_of(triangles, uv):
 def test_the_exported_mesh_has_the_uv_where_the_ray_met_it(make):
     obj = make()
     bpy.context.view_layer.update()
-    exported = mesh.evaluated(obj, depsgraph())
+    exported = mesh.evaluated_triangles(obj, depsgraph())
     centre, random, hits = Vector(exported.vertices.mean(axis=0)), np.random.default_rng(0), 0
     for _ in range(40):
         direction = Vector(random.normal(size=3))
         target = centre + 0.5 * Vector(random.normal(size=3))
-        hit = surface.under_ray(obj, depsgraph(), target - 10.0 * direction, direction)
+        hit = surface.cast_ray(obj, depsgraph(), target - 10.0 * direction, direction)
         if hit is None:
             continue
         hits += 1
@@ -100,7 +100,7 @@ def test_the_exported_mesh_has_the_uv_where_the_ray_met_it(make):
 
 def test_the_nearest_point_is_found_and_its_uv():
     plane = add_plane()
-    point, face = surface.nearest(plane, depsgraph(), Vector((0.4, -0.2, 0.7)))
+    point, face = surface.nearest_point(plane, depsgraph(), Vector((0.4, -0.2, 0.7)))
     assert tuple(point) == pytest.approx((0.4, -0.2, 0.0))
     assert surface.uv_at(plane, depsgraph(), point, face)[:2] == pytest.approx((0.7, 0.4))
 
@@ -128,5 +128,5 @@ def test_a_mesh_without_faces_or_uvs_is_refused():
     plane.data.clear_geometry()
     bpy.context.view_layer.update()
     with pytest.raises(BadInput, match="no faces"):
-        surface.nearest(plane, depsgraph(), Vector((0.0, 0.0, 0.0)))
-    assert surface.under_ray(plane, depsgraph(), Vector((0.0, 0.0, 1.0)), Vector((0.0, 0.0, -1.0))) is None
+        surface.nearest_point(plane, depsgraph(), Vector((0.0, 0.0, 0.0)))
+    assert surface.cast_ray(plane, depsgraph(), Vector((0.0, 0.0, 1.0)), Vector((0.0, 0.0, -1.0))) is None

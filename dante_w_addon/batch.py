@@ -19,11 +19,11 @@ PACKAGE = "dante_w_addon"
 
 
 def load() -> ModuleType:
-    """Import the package this file lies in, whatever its folder is called."""
+    """Import the package this file lies in, whatever its folder is called; returns its module `headless`."""
     if PACKAGE not in sys.modules:
-        here = Path(__file__).resolve().parent
+        folder = Path(__file__).resolve().parent
         spec = importlib.util.spec_from_file_location(
-            PACKAGE, here / "__init__.py", submodule_search_locations=[str(here)]
+            PACKAGE, folder / "__init__.py", submodule_search_locations=[str(folder)]
         )
         package = importlib.util.module_from_spec(spec)
         sys.modules[PACKAGE] = package

@@ -12,13 +12,13 @@ import bpy
 
 #: Name under which Blender knows the add-on: `dante_w_addon`, or `bl_ext.REPOSITORY.dante_w` once installed.
 ADDON = __package__
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 
 
 def backend_folder() -> Path:
     """Folder with `launch.py`, `requirements.txt` and the package `dante_w`."""
-    inside = HERE / "backend"
-    return inside if (inside / "launch.py").is_file() else HERE.parent / "backend"
+    in_extension = FOLDER / "backend"
+    return in_extension if (in_extension / "launch.py").is_file() else FOLDER.parent / "backend"
 
 
 def launcher() -> Path:
@@ -27,9 +27,9 @@ def launcher() -> Path:
 
 
 def user_folder() -> Path | None:
-    """The extension's own folder, or None where the add-on runs from a checkout."""
+    """The folder in which the extension may write, or None where the add-on runs from a checkout."""
     if ADDON.startswith("bl_ext."):
         return Path(bpy.utils.extension_path_user(ADDON, create=True))
-    if (HERE / "backend").is_dir():  # installed, but run by batch.py under another name
-        return HERE.parent.parent / ".user" / HERE.parent.name / HERE.name
+    if (FOLDER / "backend").is_dir():  # installed, but run by batch.py under another name
+        return FOLDER.parent.parent / ".user" / FOLDER.parent.name / FOLDER.name
     return None

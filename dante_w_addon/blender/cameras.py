@@ -16,7 +16,8 @@ import numpy as np
 from ..contract import scene_folder
 from ..contract.errors import BadInput
 
-#: Custom property of an imported camera: calibration that a Blender camera cannot hold, as distortion.
+#: Custom property of an imported camera: calibration that a Blender camera cannot hold, such as distortion. Its keys are
+#: `model`, `size`, `params` and `shown`, the intrinsics that the viewport had after the import.
 CALIBRATION = "dante_w_calibration"
 
 
@@ -79,14 +80,14 @@ def set_intrinsics(
     camera.lens = fx * 36.0 / width
     camera.shift_x = (width / 2.0 - cx) / width
     camera.shift_y = (cy - height / 2.0) * aspect / width
-    shown = intrinsics(camera, width, height, aspect)
-    if calibration.model == "PINHOLE" and np.allclose(shown.params, (fx, fy, cx, cy), rtol=0.0, atol=1e-3):
+    viewport = intrinsics(camera, width, height, aspect)
+    if calibration.model == "PINHOLE" and np.allclose(viewport.params, (fx, fy, cx, cy), rtol=0.0, atol=1e-3):
         return None
     camera[CALIBRATION] = {
         "model": calibration.model,
         "size": [width, height],
         "params": list(calibration.params),
-        "shown": list(shown.params),
+        "shown": list(viewport.params),
     }
     if calibration.model == "PINHOLE":
         return "its two focal lengths differ; the viewport shows one, recovery uses both"
@@ -97,13 +98,13 @@ def calibration(
     camera: bpy.types.Camera, width: int, height: int, aspect: float = 1.0
 ) -> scene_folder.Camera:
     """What to export: the imported calibration while the camera is as it was imported, else Blender's."""
-    shown = intrinsics(camera, width, height, aspect)
-    kept = camera.get(CALIBRATION)
-    if kept is None or list(kept["size"]) != [width, height]:
-        return shown
-    if not np.allclose(list(kept["shown"]), shown.params, rtol=1e-5, atol=1e-3):
-        return shown  # edited since: the user's lens wins
-    return scene_folder.Camera(kept["model"], width, height, tuple(kept["params"]))
+    viewport = intrinsics(camera, width, height, aspect)
+    entry = camera.get(CALIBRATION)
+    if entry is None or list(entry["size"]) != [width, height]:
+        return viewport
+    if not np.allclose(list(entry["shown"]), viewport.params, rtol=1e-5, atol=1e-3):
+        return viewport  # edited since the import: the user's lens wins
+    return scene_folder.Camera(entry["model"], width, height, tuple(entry["params"]))
 
 
 def pinhole_part(camera: scene_folder.Camera) -> tuple[float, float, float, float]:

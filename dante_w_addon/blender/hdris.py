@@ -25,8 +25,8 @@ def title(stem: str) -> str:
 
 def enum_items() -> list[tuple[str, str, str]]:
     """Menu entries."""
-    shipped = [(name, title(name), f"{name}, ships with Blender") for name in presets()]
-    return [*shipped, (OWN, "Own File", "Any equirectangular .hdr or .exr file")]
+    items = [(name, title(name), f"{name}, ships with Blender") for name in presets()]
+    return [*items, (OWN, "Own File", "Any equirectangular .hdr or .exr file")]
 
 
 def file_of(choice: str, own_file: str) -> Path | None:

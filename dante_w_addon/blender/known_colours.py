@@ -1,4 +1,4 @@
-"""Spots of the mesh whose albedo is known; they pin the recovered albedo's level and tint.
+"""Spots of the mesh whose albedo is known; they fix the recovered albedo's scale and white balance.
 
 Kept on the object, as each is a place in its UV map.
 """
@@ -23,12 +23,12 @@ class DANTEW_PG_known_colour(bpy.types.PropertyGroup):
     location: FloatVectorProperty(name="Location", description="The spot on the mesh", subtype="XYZ")
     grey: BoolProperty(
         name="Grey",
-        description="All that is known is that the spot is grey, not how light it is",
+        description="The spot is a neutral grey of unknown brightness. It fixes the white balance alone",
         default=True,
     )
     colour: FloatVectorProperty(
         name="Colour",
-        description="The spot's albedo in sRGB, such as a colour chart's value",
+        description="The spot's albedo in sRGB, for example a colour chart's value",
         subtype="COLOR_GAMMA",
         default=(0.5, 0.5, 0.5),
         min=0.0,
@@ -65,10 +65,11 @@ def problem(obj: bpy.types.Object, unwrap: bool) -> str | None:
     if unwrap:
         return f"The known colours of {obj.name} do not fit new UVs; make no new UVs, or remove the colours."
     layer = mesh.render_uv_map(obj.data)  # None where a modifier makes the UV map: then the spots are trusted
-    other = {spot.uv_map for spot in spots_of(obj)} - {layer.name} if layer is not None else set()
-    if other:
+    other_maps = {spot.uv_map for spot in spots_of(obj)} - {layer.name} if layer is not None else set()
+    if other_maps:
         return (
-            f"Known colours of {obj.name} were picked on the UV map {min(other)}; remove and pick them again."
+            f"Known colours of {obj.name} were picked on the UV map {min(other_maps)}; "
+            "remove and pick them again."
         )
     return None
 

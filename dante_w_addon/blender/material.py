@@ -1,7 +1,7 @@
-"""The result on the object: a material with the albedo, the old materials one click away.
+"""The result on the object: a material with the albedo, the original materials one click away.
 
-What belongs together is kept in custom properties of the object, so it is saved with the .blend, follows
-undo, and works in headless runs and where the add-on is off.
+All of it is kept in custom properties of the object. So it is saved with the .blend, follows undo, and works in headless
+runs and where the add-on is off.
 """
 
 from __future__ import annotations
@@ -21,7 +21,11 @@ ALBEDO, ORIGINALS, REPORT_TEXT = "dante_w_albedo", "dante_w_originals", "dante_w
 
 
 def apply(obj: bpy.types.Object, result: Path, pack: bool) -> bpy.types.Material:
-    """Put the albedo in a result folder on `obj` and show it; the former materials are kept.
+    """Put the albedo of a result folder on `obj` and show it; its own materials are kept.
+
+    Args:
+        result: the result folder.
+        pack: whether the images are kept inside the .blend.
 
     Raises:
         OSError, ValueError: the folder is not a whole result.
@@ -32,7 +36,7 @@ def apply(obj: bpy.types.Object, result: Path, pack: bool) -> bpy.types.Material
     coverage = load_image(result / COVERAGE, f"{obj.name} coverage", pack, "Non-Color")
     layer = mesh.render_uv_map(obj.data)
     material = albedo_material(f"{obj.name} albedo", albedo, coverage, layer.name if layer else "")
-    if shown(obj) != "ALBEDO":
+    if display_of(obj) != "ALBEDO":
         obj[ORIGINALS] = {str(i): slot.material for i, slot in enumerate(obj.material_slots) if slot.material}
     obj[ALBEDO] = material
     obj[REPORT_TEXT] = json.dumps(report, indent=1)
@@ -40,8 +44,8 @@ def apply(obj: bpy.types.Object, result: Path, pack: bool) -> bpy.types.Material
     return material
 
 
-def shown(obj: bpy.types.Object) -> str | None:
-    """'ALBEDO' or 'ORIGINAL'; None for an object with no result."""
+def display_of(obj: bpy.types.Object) -> str | None:
+    """What `obj` shows: 'ALBEDO' or 'ORIGINAL'; None for an object without a result."""
     material = obj.get(ALBEDO)
     if material is None:
         return None
@@ -66,7 +70,8 @@ def report_of(obj: bpy.types.Object) -> dict[str, Any]:
 
 
 def load_image(path: Path, name: str, pack: bool, colour_space: str | None = None) -> bpy.types.Image:
-    """Load an image with its colour space said outright: guesses depend on the user's settings."""
+    """Load an image. Its colour space is set, as Blender's guess depends on the user's settings: `colour_space`, or
+    sRGB, or linear for EXR and HDR."""
     image = bpy.data.images.load(str(path), check_existing=False)
     image.name = name
     linear = path.suffix.lower() in (".exr", ".hdr")
@@ -82,7 +87,7 @@ def load_image(path: Path, name: str, pack: bool, colour_space: str | None = Non
 def albedo_material(
     name: str, albedo: bpy.types.Image, coverage: bpy.types.Image | None, uv_map: str
 ) -> bpy.types.Material:
-    """A matte Principled BSDF: what was recovered is the diffuse part; gloss is the artist's to add."""
+    """A Principled BSDF without specular reflection: the diffuse part was recovered, the rest is the artist's to add."""
     material = bpy.data.materials.new(name)
     if bpy.app.version < (5, 0, 0):
         material.use_nodes = True
@@ -102,8 +107,8 @@ def albedo_material(
     tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
     tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
     if coverage is not None:
-        kept = tree.nodes.new("ShaderNodeTexImage")
-        kept.image, kept.label, kept.location = coverage, "Coverage (white: a photo saw it)", (-580, -320)
-        tree.links.new(uv.outputs["UV"], kept.inputs["Vector"])
+        node = tree.nodes.new("ShaderNodeTexImage")
+        node.image, node.label, node.location = coverage, "Coverage (white: a photo saw it)", (-580, -320)
+        tree.links.new(uv.outputs["UV"], node.inputs["Vector"])
     tree.nodes.active = texture  # what texture painting and the Solid view's Texture mode use
     return material

@@ -13,7 +13,7 @@ from ..contract.errors import BadInput
 from ..contract.triangles import Triangles
 
 
-def evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Triangles:
+def evaluated_triangles(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Triangles:
     """`obj` as the viewport shows it: modifiers and world transform applied, in float64.
 
     Raises:
@@ -22,8 +22,8 @@ def evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Triangle
     if obj.mode == "EDIT":
         obj.update_from_editmode()
         depsgraph.update()
-    shown = obj.evaluated_get(depsgraph)
-    mesh = shown.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
+    evaluated_obj = obj.evaluated_get(depsgraph)
+    mesh = evaluated_obj.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
     try:
         mesh.calc_loop_triangles()
         count = len(mesh.loop_triangles)
@@ -37,9 +37,9 @@ def evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Triangle
         corner_normals = None
         if mesh.normals_domain != "FACE":
             corner_normals = _read(mesh.corner_normals, "vector", len(mesh.loops), 3, np.float32)
-        matrix = np.array(shown.matrix_world, np.float64)
+        matrix = np.array(evaluated_obj.matrix_world, np.float64)
     finally:
-        shown.to_mesh_clear()
+        evaluated_obj.to_mesh_clear()
     vertices = local.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     if not np.isfinite(vertices).all():
         raise BadInput(f"{obj.name} has vertices that are not finite; repair the mesh.")

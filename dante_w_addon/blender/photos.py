@@ -26,7 +26,7 @@ class Photo:
     image: bpy.types.Image
 
 
-def found(scene: bpy.types.Scene) -> list[Photo]:
+def photos_in(scene: bpy.types.Scene) -> list[Photo]:
     """Every camera with a background image. The image's eye icon leaves a photo out."""
     result = []
     for obj in scene.objects:
@@ -68,9 +68,9 @@ def size_of(image: bpy.types.Image) -> tuple[int, int]:
     path = path_of(image)
     size = header_size(path) if path is not None else None
     if size is None:
-        loaded = image.has_data
+        had_pixels = image.has_data
         size = tuple(image.size)
-        if not loaded and not image.is_dirty and image.source == "FILE":
+        if not had_pixels and not image.is_dirty and image.source == "FILE":
             image.buffers_free()
     if min(size) < 1:
         raise BadInput(f"{path or image.name}: not a readable image; replace or hide it.")
@@ -100,26 +100,31 @@ def header_size(path: Path) -> tuple[int, int] | None:
 
 
 class Folder:
-    """The `images` folder of a scene folder being written: each photo once, no two under one name."""
+    """The `images` folder of a scene folder that is written: each photo once, no two under one name."""
 
     def __init__(self, folder: Path) -> None:
+        """Put photos into `folder`, which need not exist yet."""
         self.folder = folder
-        self._taken: set[str] = set()
-        self._placed: dict[str, Path] = {}
+        self._names: set[str] = set()  # in lower case
+        self._paths: dict[str, Path] = {}  # by file, or by name of the image
 
     def place(self, image: bpy.types.Image) -> Path:
-        """Put `image` in the folder, hard-linked where the disk allows; returns its path there."""
+        """Put `image` into the folder, hard-linked where the disk allows; returns its path there.
+
+        Raises:
+            BadInput: it cannot be read or written.
+        """
         source = path_of(image)
         key = str(source or image.name_full)
-        if key not in self._placed:
+        if key not in self._paths:
             target = self._free_name(image, source)
             target.parent.mkdir(parents=True, exist_ok=True)
             try:
                 _put(image, source, target)
             except (OSError, RuntimeError) as error:
                 raise BadInput(f"{key} cannot be put into {target.parent}: {error}") from error
-            self._placed[key] = target
-        return self._placed[key]
+            self._paths[key] = target
+        return self._paths[key]
 
     def _free_name(self, image: bpy.types.Image, source: Path | None) -> Path:
         # Priors are found by the photo's name, so a name that is taken moves into a folder, named after
@@ -128,12 +133,14 @@ class Folder:
             name, parent = source.name, file_name(source.parent.name)
         else:
             stem = Path(file_name(bpy.path.basename(image.filepath) or image.name))
-            packed = _SUFFIX.get(image.file_format) if image.packed_file and not image.is_dirty else None
-            own = packed or (".exr" if image.is_float else ".png")
-            name, parent = (stem.name if stem.suffix.lower() == own else stem.name + own), "packed"
+            packed_suffix = (
+                _SUFFIX.get(image.file_format) if image.packed_file and not image.is_dirty else None
+            )
+            suffix = packed_suffix or (".exr" if image.is_float else ".png")
+            name, parent = (stem.name if stem.suffix.lower() == suffix else stem.name + suffix), "packed"
         choices = [name, f"{parent}/{name}", *(f"{parent}_{i}/{name}" for i in range(2, 10_000))]
-        choice = next(choice for choice in choices if choice.lower() not in self._taken)
-        self._taken.add(choice.lower())
+        choice = next(choice for choice in choices if choice.lower() not in self._names)
+        self._names.add(choice.lower())
         return self.folder / choice
 
 

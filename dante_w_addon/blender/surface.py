@@ -9,28 +9,30 @@ from ..contract.errors import BadInput
 from . import mesh
 
 
-def under_ray(
+def cast_ray(
     obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, origin: Vector, direction: Vector
 ) -> tuple[Vector, int] | None:
     """The first point of `obj` that a ray in world space meets, and its face; None for a miss."""
-    shown = obj.evaluated_get(depsgraph)
-    if not shown.data.polygons:
+    evaluated_obj = obj.evaluated_get(depsgraph)
+    if not evaluated_obj.data.polygons:
         return None
-    to_object = shown.matrix_world.inverted_safe()
-    met, point, _, face = shown.ray_cast(to_object @ origin, to_object.to_3x3() @ direction)
-    return (point, face) if met else None
+    to_object = evaluated_obj.matrix_world.inverted_safe()
+    is_hit, point, _, face = evaluated_obj.ray_cast(to_object @ origin, to_object.to_3x3() @ direction)
+    return (point, face) if is_hit else None
 
 
-def nearest(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, location: Vector) -> tuple[Vector, int]:
+def nearest_point(
+    obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, location: Vector
+) -> tuple[Vector, int]:
     """The point of `obj` that is nearest to `location`, and its face.
 
     Raises:
         BadInput: there are no faces.
     """
-    shown = obj.evaluated_get(depsgraph)
-    if not shown.data.polygons:
+    evaluated_obj = obj.evaluated_get(depsgraph)
+    if not evaluated_obj.data.polygons:
         raise BadInput(f"{obj.name} has no faces; choose a mesh with faces.")
-    _, point, _, face = shown.closest_point_on_mesh(location)
+    _, point, _, face = evaluated_obj.closest_point_on_mesh(location)
     return point, face
 
 
@@ -42,15 +44,15 @@ def uv_at(
     Raises:
         BadInput: there is no UV map.
     """
-    shown = obj.evaluated_get(depsgraph)
-    data = shown.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
+    evaluated_obj = obj.evaluated_get(depsgraph)
+    data = evaluated_obj.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
     try:
         layer = mesh.render_uv_map(data)
         if layer is None:
             raise BadInput(f"{obj.name} has no UV map; unwrap it first.")
         return (*_interpolated(data, layer, point, face), layer.name)
     finally:
-        shown.to_mesh_clear()
+        evaluated_obj.to_mesh_clear()
 
 
 def _interpolated(
@@ -68,7 +70,7 @@ def _interpolated(
     def closest(triangle: bpy.types.MeshLoopTriangle) -> Vector:
         return geometry.closest_point_on_tri(point, *corners(triangle))
 
-    hit = min(triangles, key=lambda triangle: (closest(triangle) - point).length_squared)
-    uvs = [layer.uv[index].vector.to_3d() for index in hit.loops]
-    u, v, _ = geometry.barycentric_transform(closest(hit), *corners(hit), *uvs)
+    nearest = min(triangles, key=lambda triangle: (closest(triangle) - point).length_squared)
+    uvs = [layer.uv[index].vector.to_3d() for index in nearest.loops]
+    u, v, _ = geometry.barycentric_transform(closest(nearest), *corners(nearest), *uvs)
     return u, v

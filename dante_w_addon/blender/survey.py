@@ -11,15 +11,21 @@ import bpy
 
 from . import known_colours, mesh, photos, properties
 
-MAX_AGE = 2.0  # seconds: whether thousands of files exist is not asked at every redraw
+#: Seconds for which a survey counts: whether thousands of files exist is not asked at every redraw.
+MAX_AGE = 2.0
+#: By how much, relatively, the render's aspect ratio may differ from the photo's.
+ASPECT_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What was found, and what stands in the way of recovery, a sentence each.
+    """The state of a scene.
 
-    `overlay_off`: the photo behind the scene's camera has another shape than the render, so the viewport
-    does not show it where recovery takes it to be.
+    Attributes:
+        cameras, photos: how many cameras there are, and how many have a photo.
+        problems: what stands in the way of recovery, a sentence each.
+        overlay_off: whether the photo behind the scene's camera has another aspect ratio than the render, so that the
+            viewport does not show it in its true place.
     """
 
     cameras: int
@@ -28,7 +34,7 @@ class Survey:
     overlay_off: bool = False
 
 
-_last: tuple[float, tuple, Survey] | None = None
+_cache: tuple[float, tuple, Survey] | None = None
 
 
 def active_mesh(context: bpy.types.Context) -> bpy.types.Object | None:
@@ -39,43 +45,44 @@ def active_mesh(context: bpy.types.Context) -> bpy.types.Object | None:
 
 def examine(scene: bpy.types.Scene, obj: bpy.types.Object | None) -> Survey:
     """Survey `scene`; the answer may be MAX_AGE old while the counts stay."""
-    global _last
+    global _cache
     settings, render = properties.settings_of(scene), scene.render
-    found = photos.found(scene)
+    photo_list = photos.photos_in(scene)
     key = (
-        *(scene.name_full, obj.name_full if obj else "", len(found), len(scene.objects)),
+        *(scene.name_full, obj.name_full if obj else "", len(photo_list), len(scene.objects)),
         len(known_colours.spots_of(obj)) if obj else 0,
-        *(settings.unwrap, settings.prior_folder, scene.camera, render.resolution_x, render.resolution_y),
+        *(settings.unwrap, settings.prior_folder, render.resolution_x, render.resolution_y),
+        scene.camera.name_full if scene.camera else "",
     )
-    if _last is not None and _last[1] == key and time.monotonic() - _last[0] < MAX_AGE:
-        return _last[2]
+    if _cache is not None and _cache[1] == key and time.monotonic() - _cache[0] < MAX_AGE:
+        return _cache[2]
     cameras = sum(other.type == "CAMERA" for other in scene.objects)
-    problems = tuple(_problems(found, obj, settings))
-    result = Survey(cameras, len(found), problems, _overlay_off(scene, found))
-    _last = (time.monotonic(), key, result)
+    problems = tuple(_problems(photo_list, obj, settings))
+    result = Survey(cameras, len(photo_list), problems, _overlay_off(scene, photo_list))
+    _cache = (time.monotonic(), key, result)
     return result
 
 
 def _problems(
-    found: list[photos.Photo], obj: bpy.types.Object | None, settings: properties.DANTEW_PG_settings
+    photo_list: list[photos.Photo], obj: bpy.types.Object | None, settings: properties.DANTEW_PG_settings
 ) -> Iterator[str]:
     if obj is not None and not settings.unwrap and mesh.render_uv_map(obj.data) is None and not obj.modifiers:
         yield f"{obj.name} has no UV map; unwrap it, or turn on Options > Make New UVs."
-    known = known_colours.problem(obj, settings.unwrap) if obj is not None else None
-    if known:
-        yield known
-    if not found:
+    colour_problem = known_colours.problem(obj, settings.unwrap) if obj is not None else None
+    if colour_problem:
+        yield colour_problem
+    if not photo_list:
         yield "No camera has a background image; add photos, or import a scene folder."
     if settings.prior_folder and not os.path.isdir(bpy.path.abspath(settings.prior_folder)):
         yield "The folder of priors does not exist; choose another, or clear it."
-    yield from filter(None, map(photos.problem, found))
+    yield from filter(None, map(photos.problem, photo_list))
 
 
-def _overlay_off(scene: bpy.types.Scene, found: list[photos.Photo]) -> bool:
-    photo = next((photo for photo in found if photo.camera == scene.camera), None)
+def _overlay_off(scene: bpy.types.Scene, photo_list: list[photos.Photo]) -> bool:
+    photo = next((photo for photo in photo_list if photo.camera == scene.camera), None)
     path = photos.path_of(photo.image) if photo else None
     size = photos.header_size(path) if path else None
     if size is None:
         return False
-    wide, high = size[0] * scene.render.resolution_y, size[1] * scene.render.resolution_x
-    return abs(wide - high) > 0.01 * max(wide, high)
+    photo, render = size[0] * scene.render.resolution_y, size[1] * scene.render.resolution_x
+    return abs(photo - render) > ASPECT_TOLERANCE * max(photo, render)

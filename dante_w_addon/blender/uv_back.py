@@ -20,10 +20,13 @@ def bring_back(obj: bpy.types.Object, path: Path) -> bpy.types.Object:
 
     Returns:
         The object that carries the UVs.
+
+    Raises:
+        OSError, ValueError, IndexError: the file cannot be read.
     """
-    made = read_obj(path)
-    corner_uvs = made.uvs[made.uv_corners]
-    loops = _matching_loops(obj, made.corners)
+    unwrapped_mesh = read_obj(path)
+    corner_uvs = unwrapped_mesh.uvs[unwrapped_mesh.uv_corners]
+    loops = _matching_loops(obj, unwrapped_mesh.corners)
     if loops is not None:
         layer_uvs = np.zeros((len(obj.data.loops), 2))
         layer_uvs[loops.ravel()] = corner_uvs.reshape(-1, 2)
@@ -32,7 +35,7 @@ def bring_back(obj: bpy.types.Object, path: Path) -> bpy.types.Object:
             layer.uv.foreach_set("vector", layer_uvs.astype(np.float32).ravel())
             layer.active = layer.active_render = True
             return obj
-    return _new_object(obj, made.vertices, made.corners, corner_uvs)
+    return _new_object(obj, unwrapped_mesh.vertices, unwrapped_mesh.corners, corner_uvs)
 
 
 def _matching_loops(obj: bpy.types.Object, corners: np.ndarray) -> np.ndarray | None:
@@ -41,14 +44,14 @@ def _matching_loops(obj: bpy.types.Object, corners: np.ndarray) -> np.ndarray | 
     data.calc_loop_triangles()
     if len(data.loop_triangles) != len(corners):
         return None
-    own = np.empty(corners.size, np.int32)
-    data.loop_triangles.foreach_get("vertices", own)
+    vertices = np.empty(corners.size, np.int32)
+    data.loop_triangles.foreach_get("vertices", vertices)
     loops = np.empty(corners.size, np.int32)
     data.loop_triangles.foreach_get("loops", loops)
-    own, loops = own.reshape(-1, 3), loops.reshape(-1, 3)
+    vertices, loops = vertices.reshape(-1, 3), loops.reshape(-1, 3)
     if obj.matrix_world.determinant() < 0.0:  # the export turned the faces of a mirrored object
-        own, loops = own[:, ::-1], loops[:, ::-1]
-    return loops if np.array_equal(own, corners) else None
+        vertices, loops = vertices[:, ::-1], loops[:, ::-1]
+    return loops if np.array_equal(vertices, corners) else None
 
 
 def _new_object(
@@ -58,7 +61,7 @@ def _new_object(
     data.from_pydata(vertices.tolist(), [], corners.tolist())
     layer = data.uv_layers.new(name=UV_MAP, do_init=False)
     layer.uv.foreach_set("vector", corner_uvs.astype(np.float32).ravel())
-    made = bpy.data.objects.new(f"{obj.name} unwrapped", data)
+    new_obj = bpy.data.objects.new(f"{obj.name} unwrapped", data)
     for collection in obj.users_collection:
-        collection.objects.link(made)
-    return made
+        collection.objects.link(new_obj)
+    return new_obj

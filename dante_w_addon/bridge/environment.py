@@ -1,4 +1,4 @@
-"""The backend's own Python: where to look for one, and how to make one. Knows no bpy."""
+"""The backend's own environment: which Python can make one, and by which commands. Knows no bpy."""
 
 from __future__ import annotations
 
@@ -40,17 +40,25 @@ def python_in(venv: Path) -> Path:
 
 
 def base_python(candidates: Sequence[str | None] = ()) -> str | None:
-    """A Python from 3.11 up that can make a virtual environment: Blender's own where it is a real one."""
+    """A Python from 3.11 up that can make a virtual environment: Blender's own if it can; None where there is none."""
     names = [*candidates, sys.executable, shutil.which("python3"), shutil.which("python")]
     return next((name for name in names if name and _can_make_venv(name)), None)
 
 
 def _can_make_venv(python: str) -> bool:
-    test = "import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))"
+    code = "import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))"
     try:
-        return _run([python, "-I", "-c", test], 20.0).returncode == 0
+        result = subprocess.run(
+            [python, "-I", "-c", code],
+            capture_output=True,
+            env=clean_environment(),
+            stdin=subprocess.DEVNULL,
+            timeout=20.0,
+            check=False,
+        )
     except (OSError, subprocess.TimeoutExpired):
         return False
+    return result.returncode == 0
 
 
 def commands(
@@ -71,28 +79,3 @@ def commands(
         [python, "-I", "-m", "venv", "--clear", str(venv)],
         install + (["--extra-index-url", index] if index else []),
     ]
-
-
-def check(python: str | Path, launcher: Path, seconds: float = 120.0) -> tuple[bool, str]:
-    """Ask `python` whether the backend runs in it: (whether it does, what it said)."""
-    try:
-        done = _run([str(python), "-I", "-X", "utf8", str(launcher), "doctor", "--json"], seconds)
-    except OSError as error:
-        return False, f"{python} cannot be started: {error.strerror}"
-    except subprocess.TimeoutExpired:
-        return False, f"{python} gave no answer within {seconds:.0f} seconds."
-    said = (done.stdout.strip() or done.stderr.strip()).splitlines()
-    return done.returncode == 0, "\n".join(said[-12:])
-
-
-def _run(command: Sequence[str], seconds: float) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command,
-        capture_output=True,
-        encoding="utf-8",
-        errors="replace",
-        env=clean_environment(),
-        stdin=subprocess.DEVNULL,
-        timeout=seconds,
-        check=False,
-    )

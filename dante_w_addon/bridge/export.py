@@ -1,4 +1,4 @@
-"""From the Blender scene to a scene folder."""
+"""From the Blender scene to a scene folder: the mesh, the cameras, the photos."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..contract import scene_folder
 from ..contract.errors import BadInput
 from ..contract.triangles import write_obj
 
-#: File that says a folder is ours to replace.
+#: File in a folder that an export made and may replace.
 MARK = "made-by-dante-w.txt"
 
 
@@ -27,17 +27,17 @@ def export_scene(
     Raises:
         BadInput: something cannot be used; the message names it and the fix.
     """
-    found = photos.found(scene)
-    if not found:
+    photo_list = photos.photos_in(scene)
+    if not photo_list:
         raise BadInput("No camera has a background image; add photos, or import a scene folder.")
-    for photo in found:
+    for photo in photo_list:
         problem = photos.problem(photo)
         if problem:
             raise BadInput(problem)
     _empty(folder)
-    write_obj(folder / "mesh.obj", mesh.evaluated(obj, depsgraph))
+    write_obj(folder / "mesh.obj", mesh.evaluated_triangles(obj, depsgraph))
     images = photos.Folder(folder / "images")
-    frames = [_frame(scene, photo, depsgraph, images) for photo in found]
+    frames = [_frame(scene, photo, depsgraph, images) for photo in photo_list]
     return scene_folder.write_scene(
         folder, scene_folder.Scene(folder / "transforms.json", folder / "mesh.obj", frames)
     )

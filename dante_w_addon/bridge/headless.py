@@ -29,7 +29,7 @@ from .progress import Progress
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run one recovery as `arguments` say; returns the exit code. Never raises."""
+    """Run one recovery with these command-line arguments; returns the exit code. Never raises."""
     try:
         options = parse(arguments)
     except SystemExit as end:  # argparse has said why
@@ -59,19 +59,19 @@ def _run(options: argparse.Namespace) -> int:
         )
     export.export_scene(bpy.context.scene, obj, bpy.context.evaluated_depsgraph_get(), request.scene)
     try:
-        process = Process(recovery.command(python, request))
+        process = Process(interpreter.command(python, request.arguments()))
     except OSError as error:
         raise BadInput(f"{python} cannot be started: {error.strerror}.") from error
     progress = _follow(process, options.json)
     if progress.state != "done":
         return _fail(options, progress.code, progress.message)
-    textured = recovery.put_on(obj, out, options.pack)
+    target = recovery.put_on(obj, out, options.pack)
     name = file_name(Path(bpy.data.filepath).stem or "scene")
     bpy.ops.wm.save_as_mainfile(filepath=str(out / f"{name}.blend"), copy=True, compress=True)
     if lights:
         _relight(lights, options, out / "relight.png")
-    done = Done(progress.report, str(out), textured.name)
-    print(encode(done) if options.json else f"Done: {out}", flush=True)
+    message = Done(progress.report, str(out), target.name)
+    print(encode(message) if options.json else f"Done: {out}", flush=True)
     return DONE
 
 
@@ -88,10 +88,10 @@ def _mesh_object(name: str | None) -> bpy.types.Object:
     meshes = [obj for obj in bpy.context.scene.objects if obj.type == "MESH"]
     active = bpy.context.view_layer.objects.active
     if name is not None:
-        chosen = next((obj for obj in meshes if obj.name == name), None)
-        if chosen is None:
+        mesh = next((obj for obj in meshes if obj.name == name), None)
+        if mesh is None:
             raise BadInput(f"The scene has no mesh named {name}; correct --object.")
-        return chosen
+        return mesh
     if active in meshes:
         return active
     if len(meshes) != 1:
@@ -129,7 +129,7 @@ def _relight(lights: list[Path], options: argparse.Namespace, target: Path) -> N
 
 
 def _follow(process: Process, as_json: bool) -> Progress:
-    """Wait for the backend, pass its lines on, and end it when we are asked to end."""
+    """Wait for the backend and print its progress; end it when this process is asked to end."""
     progress = Progress()
     signals = (signal.SIGINT, signal.SIGTERM)
     handlers = {number: signal.signal(number, lambda *_: process.cancel()) for number in signals}

@@ -44,14 +44,13 @@ def start_task(title: str, commands: list[list[str]], when_done: Callable[[], No
 
 def tick() -> float | None:
     """Timer: look at what runs and redraw the panel; ends itself when nothing does."""
-    running = [work for work in (recovery, task) if work is not None and work.state == "running"]
-    running = [work for work in running if work.update()]
+    works = [work for work in (recovery, task) if work is not None and work.state == "running"]
+    works = [work for work in works if work.update()]
     redraw()
-    if not running:
+    if not works:
         return None
-    return (
-        QUICK_TICK if any(work.process is not None and work.process.cancelled for work in running) else TICK
-    )
+    stopping = any(work.process is not None and work.process.cancelled for work in works)
+    return QUICK_TICK if stopping else TICK
 
 
 def stop() -> None:

@@ -76,13 +76,13 @@ class Process:
 
         A cancelled process has ended when its whole group is gone. What is left of it after GRACE seconds is killed here.
         """
-        ended = self._popen.poll() is not None  # before reading: an ended process writes no more
-        self._read(last=ended)
+        is_over = self._popen.poll() is not None  # before reading: a process that is over writes no more
+        self._read(last=is_over)
         if self.cancelled and self._group_alive():
             if time.monotonic() < self._deadline:
                 return None
             self._signal(polite=False)
-        return self._popen.returncode if ended else None
+        return self._popen.returncode if is_over else None
 
     def messages(self) -> list[Message]:
         """The messages that arrived since the last call."""
@@ -164,11 +164,11 @@ class Lines:
         """Whole lines that arrived since the last call, without their ends. `last`: nothing more is to come, so what has no
         end is a line as well; a child of an ended process may still hold the pipe open."""
         for _ in range(READS):
-            arrived = None if self._pipe.closed else read_now(self._pipe.fileno())
-            if not arrived:
+            data = None if self._pipe.closed else read_now(self._pipe.fileno())
+            if not data:
                 break
-            self._rest += arrived
-        if last or arrived == b"":
+            self._rest += data
+        if last or data == b"":
             self._pipe.close()
         *lines, self._rest = self._rest.split(b"\n")
         if self._pipe.closed and self._rest:
@@ -180,8 +180,8 @@ def read_now(descriptor: int) -> bytes | None:
     """What a pipe holds: b"" at its end, None where nothing has arrived. Never waits."""
     try:
         if sys.platform == "win32":  # Python 3.11 cannot make pipes non-blocking there
-            waiting = _winapi.PeekNamedPipe(msvcrt.get_osfhandle(descriptor), 0)[0]
-            return os.read(descriptor, min(waiting, READ_BYTES)) if waiting else None
+            size = _winapi.PeekNamedPipe(msvcrt.get_osfhandle(descriptor), 0)[0]
+            return os.read(descriptor, min(size, READ_BYTES)) if size else None
         return os.read(descriptor, READ_BYTES)
     except BlockingIOError:
         return None

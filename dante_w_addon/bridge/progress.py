@@ -27,7 +27,7 @@ class Progress:
         plan: what is modelled, and why.
         out, report: the result folder and its report, once it is done.
         code, message: the exit code and a sentence for the user, once the run has ended.
-        heard: when the last message came, in seconds of the monotonic clock.
+        last_time: when the last message came, in seconds of the monotonic clock.
     """
 
     state: str = "running"
@@ -39,7 +39,7 @@ class Progress:
     report: dict[str, Any] = field(default_factory=dict)
     code: int = DONE
     message: str = ""
-    heard: float = field(default_factory=time.monotonic)
+    last_time: float = field(default_factory=time.monotonic)
 
     @property
     def stage_number(self) -> tuple[int, int]:
@@ -50,7 +50,7 @@ class Progress:
     @property
     def silent(self) -> float:
         """Seconds since the last message, where that is longer than it should be, else 0."""
-        seconds = time.monotonic() - self.heard
+        seconds = time.monotonic() - self.last_time
         return seconds if self.state == "running" and seconds > SILENCE else 0.0
 
     def follow(self, process: Process) -> list[Message]:
@@ -64,7 +64,7 @@ class Progress:
         return messages
 
     def _take(self, message: Message) -> None:
-        self.heard = time.monotonic()
+        self.last_time = time.monotonic()
         match message:
             case Done(report, out):
                 self.report, self.out = report, out

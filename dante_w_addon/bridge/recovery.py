@@ -9,17 +9,10 @@ from pathlib import Path
 
 import bpy
 
-from .. import layout
 from ..blender import material, uv_back
-from ..contract.command import Request
 from ..contract.report import MESH, read_report, summary
 from .process import Process
 from .progress import Progress
-
-
-def command(python: str, request: Request) -> list[str]:
-    """The command line that starts the backend in the interpreter `python`."""
-    return [python, "-I", "-X", "utf8", str(layout.launcher()), *request.arguments()]
 
 
 @dataclass
@@ -29,7 +22,7 @@ class Recovery:
     Attributes:
         out: the result folder.
         pack: whether the result's images are kept inside the .blend.
-        started: seconds of the monotonic clock.
+        start_time: seconds of the monotonic clock.
     """
 
     process: Process
@@ -38,7 +31,7 @@ class Recovery:
     out: Path
     pack: bool
     progress: Progress = field(default_factory=Progress)
-    started: float = field(default_factory=time.monotonic)
+    start_time: float = field(default_factory=time.monotonic)
 
     @classmethod
     def start(cls, command: list[str], obj: bpy.types.Object, out: Path, pack: bool) -> Recovery:
@@ -74,14 +67,14 @@ class Recovery:
             self.progress.message = f"{self.object_name} no longer exists. Its texture is in {self.out}."
             return
         try:
-            textured = put_on(obj, self.out, self.pack)
+            target = put_on(obj, self.out, self.pack)
         except (OSError, RuntimeError, ValueError, IndexError) as error:
             self.progress.state, self.progress.message = "failed", f"The result cannot be read: {error}"
             return
-        if textured != obj:
-            bpy.context.view_layer.objects.active = textured
+        if target != obj:
+            bpy.context.view_layer.objects.active = target
             self.progress.message = (
-                f"The new UVs do not fit {obj.name}, so they are on a new object: {textured.name}."
+                f"The new UVs do not fit {obj.name}, so they are on a new object: {target.name}."
             )
         _push_undo("Recover Albedo")
 
@@ -95,14 +88,14 @@ def put_on(obj: bpy.types.Object, out: Path, pack: bool) -> bpy.types.Object:
     Raises:
         OSError, ValueError: the folder is not a whole result.
     """
-    unwrapped = summary(read_report(out)).unwrapped  # a mesh of an earlier run may lie beside
-    textured = uv_back.bring_back(obj, out / MESH) if unwrapped else obj
-    material.apply(textured, out, pack)
-    if textured != obj:
+    has_new_uvs = summary(read_report(out)).unwrapped  # a mesh of an earlier run may lie beside
+    target = uv_back.bring_back(obj, out / MESH) if has_new_uvs else obj
+    material.apply(target, out, pack)
+    if target != obj:
         obj.hide_render = True
         with contextlib.suppress(RuntimeError):  # it is in no collection of this view layer
             obj.hide_set(True)
-    return textured
+    return target
 
 
 def _uid(obj: bpy.types.Object) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -22,7 +21,6 @@ class Task:
         when_done: called when all of them ended well.
         state: `running`, `done`, `failed` or `stopped`.
         lines: the end of the present command's log.
-        started: seconds of the monotonic clock.
     """
 
     title: str
@@ -31,7 +29,6 @@ class Task:
     process: Process | None = None
     state: str = "running"
     lines: list[str] = field(default_factory=list)
-    started: float = field(default_factory=time.monotonic)
 
     def update(self) -> bool:
         """Start the next command when one ends well. Returns whether it still runs."""

@@ -1,4 +1,4 @@
-"""Operators: import a scene folder, and show a photo as it was taken."""
+"""Operators: import a scene folder, and fit the render to a photo."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..contract.errors import BadInput
 
 
 class DANTEW_OT_import_scene(bpy.types.Operator):
-    """Make cameras with photos behind them, and the mesh, from a scene folder (transforms.json)"""
+    """Import a scene folder (transforms.json): cameras with their photos, and the mesh"""
 
     bl_idname = "dantew.import_scene"
     bl_label = "Import Scene Folder"
@@ -27,18 +27,18 @@ class DANTEW_OT_import_scene(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            made = scene_import.import_folder(context, Path(bpy.path.abspath(self.filepath)))
+            result = scene_import.import_folder(context, Path(bpy.path.abspath(self.filepath)))
         except BadInput as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        for warning in made.warnings:
+        for warning in result.warnings:
             self.report({"WARNING"}, warning)
-        self.report({"INFO"}, f"{len(made.cameras)} cameras imported")
+        self.report({"INFO"}, f"{len(result.cameras)} cameras imported")
         return {"FINISHED"}
 
 
 class DANTEW_OT_match_render(bpy.types.Operator):
-    """Set the render size to the active camera's photo, so that the overlay shows exactly what is recovered"""
+    """Set the render size to that of the camera's photo, so that photo and mesh line up in the viewport"""
 
     bl_idname = "dantew.match_render"
     bl_label = "Match Render to Photo"
@@ -63,7 +63,7 @@ class DANTEW_OT_match_render(bpy.types.Operator):
 
 def active_photo(scene: bpy.types.Scene) -> photos.Photo | None:
     """The photo behind the scene's camera."""
-    return next((photo for photo in photos.found(scene) if photo.camera == scene.camera), None)
+    return next((photo for photo in photos.photos_in(scene) if photo.camera == scene.camera), None)
 
 
 CLASSES = (DANTEW_OT_import_scene, DANTEW_OT_match_render)

@@ -10,7 +10,7 @@ from mathutils import Vector
 from ..blender import known_colours, properties, surface, survey
 from ..contract.errors import BadInput
 
-#: What moves the view while a spot is looked for.
+#: Events that move the view while the user looks for a spot.
 NAVIGATION = {
     *("MOUSEMOVE", "INBETWEEN_MOUSEMOVE", "MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE"),
     *("TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "NDOF_MOTION", "TIMER"),
@@ -18,7 +18,7 @@ NAVIGATION = {
 
 
 class DANTEW_OT_pick_known_colour(bpy.types.Operator):
-    """Click a spot of the mesh that is grey, or whose colour is known, to set the albedo's brightness and tint"""
+    """Click a spot of the mesh that is grey, or whose colour you know. It fixes white balance and brightness of the albedo"""
 
     bl_idname = "dantew.pick_known_colour"
     bl_label = "Pick Known Colour"
@@ -38,11 +38,14 @@ class DANTEW_OT_pick_known_colour(bpy.types.Operator):
         options={"HIDDEN", "SKIP_SAVE"},
     )
     grey: BoolProperty(
-        name="Grey", description="Only that it is grey is known", default=True, options={"SKIP_SAVE"}
+        name="Grey",
+        description="The spot is a neutral grey of unknown brightness. It fixes the white balance alone",
+        default=True,
+        options={"SKIP_SAVE"},
     )
     colour: FloatVectorProperty(
         name="Colour",
-        description="The spot's albedo in sRGB, where it is known",
+        description="The spot's albedo in sRGB, for example a colour chart's value",
         subtype="COLOR_GAMMA",
         default=(0.5, 0.5, 0.5),
         min=0.0,
@@ -54,13 +57,13 @@ class DANTEW_OT_pick_known_colour(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         obj = survey.active_mesh(context)
         if obj is None:
-            cls.poll_message_set("Make the mesh to texture the active object")
+            cls.poll_message_set("Make the mesh the active object")
         elif obj.mode == "EDIT":
             cls.poll_message_set("Leave edit mode first")
         elif not obj.visible_get():
             cls.poll_message_set("Unhide the mesh first")
         elif properties.settings_of(context.scene).unwrap:
-            cls.poll_message_set("A spot does not fit new UVs; turn off Options > Make New UVs")
+            cls.poll_message_set("Known colours need the present UVs; turn off Options > Make New UVs")
         else:
             return True
         return False
@@ -68,7 +71,7 @@ class DANTEW_OT_pick_known_colour(bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         context.window.cursor_modal_set("CROSSHAIR")
         context.workspace.status_text_set(
-            "Click a grey or known spot of the mesh; Esc or right click to cancel"
+            "Click a spot of the mesh that is grey or whose colour you know. Esc or right click cancels"
         )
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
@@ -98,7 +101,7 @@ class DANTEW_OT_pick_known_colour(bpy.types.Operator):
         point, face = Vector(self.location), self.face
         try:
             if face < 0:
-                point, face = surface.nearest(obj, depsgraph, point)
+                point, face = surface.nearest_point(obj, depsgraph, point)
             spot = known_colours.add(obj, depsgraph, point, face)
         except BadInput as error:
             self.report({"ERROR"}, str(error))
@@ -111,15 +114,15 @@ class DANTEW_OT_pick_known_colour(bpy.types.Operator):
         region = _view_at(context.screen, mouse)
         if region is None:
             return None
-        at = mouse - Vector((region.x, region.y))
-        origin = view3d_utils.region_2d_to_origin_3d(region, region.data, at)
-        direction = view3d_utils.region_2d_to_vector_3d(region, region.data, at)
+        position = mouse - Vector((region.x, region.y))
+        origin = view3d_utils.region_2d_to_origin_3d(region, region.data, position)
+        direction = view3d_utils.region_2d_to_vector_3d(region, region.data, position)
         obj, depsgraph = survey.active_mesh(context), context.evaluated_depsgraph_get()
-        return surface.under_ray(obj, depsgraph, origin, direction)
+        return surface.cast_ray(obj, depsgraph, origin, direction)
 
 
 class DANTEW_OT_remove_known_colour(bpy.types.Operator):
-    """Remove this known colour"""
+    """Forget this known colour"""
 
     bl_idname = "dantew.remove_known_colour"
     bl_label = "Remove Known Colour"
@@ -142,15 +145,15 @@ class DANTEW_OT_remove_known_colour(bpy.types.Operator):
 
 
 def _view_at(screen: bpy.types.Screen, mouse: Vector) -> bpy.types.Region | None:
-    """The 3D view, one of four in a quad view, that is seen at `mouse`."""
+    """The 3D view under `mouse`, in pixels of the window: one of four in a quad view, None for another editor."""
     for area in screen.areas:
-        over = [region for region in area.regions if _inside(region, mouse)]
-        if area.type == "VIEW_3D" and over and all(region.type == "WINDOW" for region in over):
-            return over[0]  # no sidebar or header lies over it
+        regions = [region for region in area.regions if _contains(region, mouse)]
+        if area.type == "VIEW_3D" and regions and all(region.type == "WINDOW" for region in regions):
+            return regions[0]  # no sidebar or header lies over it
     return None
 
 
-def _inside(region: bpy.types.Region, mouse: Vector) -> bool:
+def _contains(region: bpy.types.Region, mouse: Vector) -> bool:
     x, y = mouse - Vector((region.x, region.y))
     return 0.0 <= x < region.width and 0.0 <= y < region.height
 

@@ -9,14 +9,14 @@ from bpy.props import EnumProperty
 
 from ..blender import known_colours, material, properties, survey
 from ..blender.paths import is_temporary, run_folder
-from ..bridge import export, interpreter, job, recovery
+from ..bridge import export, interpreter, job
 from ..contract.command import Request
 from ..contract.errors import BadInput
 from . import windows
 
 
 class DANTEW_OT_recover(bpy.types.Operator):
-    """Recover the albedo texture of the active mesh from its photos; Blender stays usable meanwhile"""
+    """Recover the albedo texture of the active mesh from its photos. You can go on working meanwhile"""
 
     bl_idname = "dantew.recover"
     bl_label = "Recover Albedo"
@@ -27,12 +27,12 @@ class DANTEW_OT_recover(bpy.types.Operator):
         if job.recovering():
             cls.poll_message_set("A recovery is running")
         elif obj is None:
-            cls.poll_message_set("Make the mesh to texture the active object")
+            cls.poll_message_set("Make the mesh the active object")
         elif interpreter.backend_python() is None:
             cls.poll_message_set("Set the backend up first")
         else:
-            unusable = properties.preset_problem(properties.settings_of(context.scene))
-            problems = [*filter(None, [unusable]), *survey.examine(context.scene, obj).problems]
+            preset_problem = properties.preset_problem(properties.settings_of(context.scene))
+            problems = [*filter(None, [preset_problem]), *survey.examine(context.scene, obj).problems]
             if not problems:
                 return True
             cls.poll_message_set(problems[0])
@@ -46,7 +46,7 @@ class DANTEW_OT_recover(bpy.types.Operator):
         pack = settings.storage == "PACK" or is_temporary(folder)
         try:
             export.export_scene(context.scene, obj, context.evaluated_depsgraph_get(), request.scene)
-            command = recovery.command(interpreter.backend_python(), request)
+            command = interpreter.command(interpreter.backend_python(), request.arguments())
             job.start_recovery(command, obj, request.out, pack)
         except (BadInput, OSError) as error:
             self.report({"ERROR"}, str(error))
@@ -101,7 +101,7 @@ class DANTEW_OT_show(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         obj = survey.active_mesh(context)
-        if obj is None or material.shown(obj) is None:
+        if obj is None or material.display_of(obj) is None:
             cls.poll_message_set("The active object has no recovered albedo")
             return False
         return True

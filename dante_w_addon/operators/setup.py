@@ -1,4 +1,4 @@
-"""Operators: make the backend's environment, check it, stop."""
+"""Operators: make the backend's environment, check the backend, stop either."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class DANTEW_OT_make_environment(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if interpreter.made_environment() is None:
+        if interpreter.environment_folder() is None:
             cls.poll_message_set("In a checkout, dev.py makes the environment")
         elif not bpy.app.online_access:
             cls.poll_message_set("Turn on Preferences > System > Network > Allow Online Access first")
         elif job.setting_up():
-            cls.poll_message_set("Already at work")
+            cls.poll_message_set("A set-up is running")
         else:
             return True
         return False
@@ -30,29 +30,23 @@ class DANTEW_OT_make_environment(bpy.types.Operator):
         python = environment.base_python()
         if python is None:
             self.report(
-                {"ERROR"}, "No Python 3.11 or newer that makes environments was found (Debian: python3-venv)"
+                {"ERROR"},
+                "No Python 3.11 or newer that can make environments was found; on Debian install python3-venv",
             )
             return {"CANCELLED"}
+        folder = interpreter.environment_folder()
         try:
-            commands = environment.commands(
-                python, interpreter.made_environment(), layout.backend_folder() / "requirements.txt"
-            )
+            commands = environment.commands(python, folder, layout.backend_folder() / "requirements.txt")
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        venv = interpreter.made_environment()
-        job.start_task(
-            "Setting up the backend",
-            [*commands, _doctor(str(environment.python_in(venv)))],
-            lambda: (venv / interpreter.READY).write_text(
-                "The backend runs in this environment.\n", encoding="utf-8"
-            ),
-        )
+        commands.append(interpreter.command(str(environment.python_in(folder)), ["doctor"]))
+        job.start_task("Setting up the backend", commands, lambda: interpreter.mark_ready(folder))
         return {"FINISHED"}
 
 
 class DANTEW_OT_check_python(bpy.types.Operator):
-    """Ask the backend which device, libraries and memory it would use"""
+    """Show which device, libraries and memory the backend would use"""
 
     bl_idname = "dantew.check_python"
     bl_label = "Check Backend"
@@ -65,7 +59,9 @@ class DANTEW_OT_check_python(bpy.types.Operator):
         return not job.setting_up()
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        job.start_task("Checking the backend", [_doctor(interpreter.backend_python())])
+        job.start_task(
+            "Checking the backend", [interpreter.command(interpreter.backend_python(), ["doctor"])]
+        )
         return {"FINISHED"}
 
 
@@ -83,10 +79,6 @@ class DANTEW_OT_stop_task(bpy.types.Operator):
         if job.task.process is not None:
             job.task.process.cancel()
         return {"FINISHED"}
-
-
-def _doctor(python: str) -> list[str]:
-    return [python, "-I", "-X", "utf8", str(layout.launcher()), "doctor"]
 
 
 CLASSES = (DANTEW_OT_make_environment, DANTEW_OT_check_python, DANTEW_OT_stop_task)

@@ -1,4 +1,4 @@
-"""Showing an image or a text to the user."""
+"""Editors that show the user an image or a text."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ def open_editor(context: bpy.types.Context, kind: str, data: bpy.types.ID) -> No
     manager = context.window_manager
     areas = [area for window in manager.windows for area in window.screen.areas if area.type == kind]
     if not areas and len(manager.windows):
-        before = set(manager.windows)
+        old_windows = set(manager.windows)
         bpy.ops.wm.window_new()
-        made = next(window for window in manager.windows if window not in before)
-        areas = [max(made.screen.areas, key=lambda area: area.width * area.height)]
+        new_window = next(window for window in manager.windows if window not in old_windows)
+        areas = [max(new_window.screen.areas, key=lambda area: area.width * area.height)]
         areas[0].type = kind
     for area in areas[:1]:
         space = area.spaces.active

@@ -10,22 +10,22 @@ from mathutils import Vector
 
 from ..blender import known_colours, survey
 
-RADIUS = 7.0  # pixels, times the interface's scale
-TEXT = 12.0
+#: Radius of a ring and size of its number, in pixels times the interface's scale.
+RADIUS, TEXT = 7.0, 12.0
 
 _handles = []
 
 
 def draw() -> None:
-    """Draw the rings over the 3D view, also of spots that lie behind the mesh."""
+    """Draw the rings over the 3D view, also those of spots behind the mesh."""
     context = bpy.context
     obj = survey.active_mesh(context)
     if obj is None or not context.space_data.overlay.show_overlays:
         return
     scale = context.preferences.system.ui_scale
     for number, spot in enumerate(known_colours.spots_of(obj), 1):
-        place = obj.matrix_world @ Vector(spot.location)
-        centre = location_3d_to_region_2d(context.region, context.region_data, place)
+        location = obj.matrix_world @ Vector(spot.location)
+        centre = location_3d_to_region_2d(context.region, context.region_data, location)
         if centre is None:  # behind the viewer
             continue
         for ring, colour in ((RADIUS, (0.0, 0.0, 0.0, 1.0)), (RADIUS - 1.5, (1.0, 1.0, 1.0, 1.0))):

@@ -31,19 +31,24 @@ class DANTEW_PT_source(_Panel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, properties.settings_of(context.scene)
         obj = survey.active_mesh(context)
-        found = survey.examine(context.scene, obj)
+        state = survey.examine(context.scene, obj)
         column = layout.column(align=True)
         if obj is None:
             column.label(text="Select the mesh to texture", icon="OUTLINER_OB_MESH")
         else:
             column.label(text=f"{obj.name}: {len(obj.data.polygons):,} faces", icon="OUTLINER_OB_MESH")
-        column.label(text=f"{found.photos} of {found.cameras} cameras have photos", icon="OUTLINER_OB_CAMERA")
-        for problem in found.problems[:MAX_PROBLEMS]:
+        column.label(text=f"{state.photos} of {state.cameras} cameras have photos", icon="OUTLINER_OB_CAMERA")
+        for problem in state.problems[:MAX_PROBLEMS]:
             draw_sentence(context, layout, problem, "ERROR")
-        if len(found.problems) > MAX_PROBLEMS:
-            layout.label(text=f"... and {len(found.problems) - MAX_PROBLEMS} more")
-        if found.overlay_off:
-            draw_sentence(context, layout, "The render has another shape than the camera's photo.", "INFO")
+        if len(state.problems) > MAX_PROBLEMS:
+            layout.label(text=f"... and {len(state.problems) - MAX_PROBLEMS} more")
+        if state.overlay_off:
+            draw_sentence(
+                context,
+                layout,
+                "The render's aspect ratio is not the photo's, so photo and mesh do not line up.",
+                "INFO",
+            )
             layout.operator("dantew.match_render", icon="CAMERA_DATA")
         layout.operator("dantew.import_scene", icon="IMPORT")
         column = property_column(layout)
@@ -67,8 +72,8 @@ class DANTEW_PT_recover(_Panel, bpy.types.Panel):
         row.scale_y = 1.6
         row.operator("dantew.recover", icon="SHADING_TEXTURE")
         if job.recovery is not None and job.recovery.progress.message:
-            failed = job.recovery.progress.state == "failed"
-            draw_sentence(context, layout, job.recovery.progress.message, "ERROR" if failed else "INFO")
+            icon = "ERROR" if job.recovery.state == "failed" else "INFO"
+            draw_sentence(context, layout, job.recovery.progress.message, icon)
 
 
 class DANTEW_PT_result(_Panel, bpy.types.Panel):
@@ -77,14 +82,14 @@ class DANTEW_PT_result(_Panel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, obj = self.layout, survey.active_mesh(context)
-        shown = material.shown(obj) if obj is not None else None
-        if shown is None:
+        display = material.display_of(obj) if obj is not None else None
+        if display is None:
             layout.label(text="No albedo recovered yet", icon="INFO")
             return
         row = layout.row(align=True)
         row.scale_y = 1.3
         for which in ("ORIGINAL", "ALBEDO"):
-            row.operator("dantew.show", text=which.title(), depress=shown == which).which = which
+            row.operator("dantew.show", text=which.title(), depress=display == which).which = which
         report = material.report_of(obj)
         column = layout.column(align=True)
         for name, value in facts(report):
@@ -128,19 +133,19 @@ class DANTEW_PT_relight(_Panel, bpy.types.Panel):
 
 def facts(report: dict[str, Any]) -> list[tuple[str, str]]:
     """Lines of the Result panel from a report; what the report does not have is left out."""
-    found, lines = summary(report), []
-    if found.held_out_psnr is not None:
-        lines.append(("Held-out photos", f"{found.held_out_psnr:.1f} dB"))
-    if found.coverage is not None:
-        lines.append(("Seen by a photo", f"{found.coverage:.1%}"))
-    if found.texture_size is not None:
-        lines.append(("Texture", f"{found.texture_size} x {found.texture_size}"))
-    if found.seconds is not None and found.expected is not None:
+    result, lines = summary(report), []
+    if result.held_out_psnr is not None:
+        lines.append(("Held-out photos", f"{result.held_out_psnr:.1f} dB"))
+    if result.coverage is not None:
+        lines.append(("Seen by a photo", f"{result.coverage:.1%}"))
+    if result.texture_size is not None:
+        lines.append(("Texture", f"{result.texture_size} x {result.texture_size}"))
+    if result.seconds is not None and result.expected is not None:
         lines.append(
-            ("Time (expected)", f"{duration(found.seconds)} ({duration(found.expected.total_seconds)})")
+            ("Time (expected)", f"{duration(result.seconds)} ({duration(result.expected.total_seconds)})")
         )
-    elif found.seconds is not None:
-        lines.append(("Time", duration(found.seconds)))
+    elif result.seconds is not None:
+        lines.append(("Time", duration(result.seconds)))
     return lines
 
 

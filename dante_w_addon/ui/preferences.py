@@ -9,10 +9,10 @@ from .. import layout
 from ..bridge import interpreter, job
 from ..operators.setup import DANTEW_OT_check_python, DANTEW_OT_make_environment, DANTEW_OT_stop_task
 
-#: How a set-up task may end, in words and an icon.
+#: How a set-up task may end: a text and an icon.
 ENDS = {
-    "done": ("It works", "CHECKMARK"),
-    "failed": ("It does not work:", "ERROR"),
+    "done": ("The backend works", "CHECKMARK"),
+    "failed": ("The backend does not work:", "ERROR"),
     "stopped": ("Stopped", "INFO"),
 }
 
@@ -49,7 +49,7 @@ def draw_backend(layout: bpy.types.UILayout) -> None:
         box.label(text=job.task.lines[-1][:80] if job.task.lines else "")
         return
     row = box.row()
-    if interpreter.made_environment() is not None:
+    if interpreter.environment_folder() is not None:
         row.operator(DANTEW_OT_make_environment.bl_idname, icon="IMPORT")
         if not bpy.app.online_access:
             box.label(text="Needs Allow Online Access (Preferences > System)", icon="ERROR")
