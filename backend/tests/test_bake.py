@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dante_w.texture import pyramid_fill as pushpull
-from dante_w.texture.bake import bake
+from dante_w.texture.bake import BakeSettings, bake
 from dante_w.texture.coverage import Coverage, empty_coverage, mark
 from dante_w.texture.rasterise import rasterise
 from hypothesis import given, settings
@@ -23,10 +22,12 @@ def all_seen(width: int, height: int) -> Coverage:
     return coverage
 
 
-def run(texels, uvs, coverage, gutter=4, dtype=np.float32, **options):  # type: ignore[no-untyped-def]
+def run(texels, uvs, coverage, dtype=np.float32, progress=lambda _: None, band_rows=None, **settings):  # type: ignore[no-untyped-def]
     out = np.zeros((coverage.height, coverage.width, 3), dtype)
     marks = np.full(out.shape[:2], 77, np.uint8)
-    fraction = bake(texels, uvs, coverage, gutter, out, marks, **options)
+    if band_rows is not None:
+        settings["band_texels"] = band_rows * coverage.width
+    fraction = bake(texels, uvs, coverage, out, marks, progress, BakeSettings(**{"gutter": 4, **settings}))
     return out, marks, fraction
 
 
@@ -82,7 +83,7 @@ def test_seams_carry_no_foreign_colour(size: tuple[int, int], gutter: int) -> No
         blue_side = uv[:, 0] - 0.45 - (uv[:, 1] - 0.1) * (0.2 - 0.45) / 0.8 > 2.0 / w
         return np.where(blue_side[:, None], blue, red)
 
-    out, _, fraction = run(texels, np.concatenate([left, right, sliver]), all_seen(w, h), gutter)
+    out, _, fraction = run(texels, np.concatenate([left, right, sliver]), all_seen(w, h), gutter=gutter)
     rng = np.random.default_rng(0)
     assert fraction == 1.0
     np.testing.assert_allclose(
@@ -162,22 +163,24 @@ def test_bands_do_not_show(seed: int, width: int, height: int, dtype: str) -> No
     uvs = rng.uniform(0, 1, (4, 3, 2))
     coverage = empty_coverage(width, height)
     mark(coverage, rng.uniform(0, 1, (30, 2)), rng.uniform(0.1, 8, 30))
-    whole = run(ramp, uvs, coverage, 3, np.dtype(dtype), band_rows=height)
+    whole = run(ramp, uvs, coverage, np.dtype(dtype), gutter=3, band_rows=height)
     for band_rows in (1, 7, 16):
-        part = run(ramp, uvs, coverage, 3, np.dtype(dtype), band_rows=band_rows)
+        part = run(ramp, uvs, coverage, np.dtype(dtype), gutter=3, band_rows=band_rows)
         assert whole[2] == part[2]
         assert whole[0].tobytes() == part[0].tobytes() and whole[1].tobytes() == part[1].tobytes()
 
 
 @pytest.mark.parametrize("size", [(40, 33), (64, 64), (5, 77)])
-def test_bands_do_not_show_with_fine_levels(size: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bands_do_not_show_with_fine_levels(size: tuple[int, int]) -> None:
     """As for a texture far beyond 1024, and equal to keeping every level whole."""
     coverage = empty_coverage(*size)
     rng = np.random.default_rng(3)
     mark(coverage, rng.uniform(0, 1, (9, 2)), 1.0)
-    whole = run(ramp, square(0, 0, 1, 1), coverage, 0)[0]
-    monkeypatch.setattr(pushpull, "LARGEST_KEPT", 4)
-    several = [run(ramp, square(0, 0, 1, 1), coverage, 0, band_rows=n)[0] for n in (1, 5, 8, 100)]
+    whole = run(ramp, square(0, 0, 1, 1), coverage, gutter=0)[0]
+    several = [
+        run(ramp, square(0, 0, 1, 1), coverage, gutter=0, band_rows=n, largest_kept=4)[0]
+        for n in (1, 5, 8, 100)
+    ]
     assert all(np.array_equal(several[0], other) for other in several[1:])
     np.testing.assert_allclose(several[0], whole, atol=1e-6)
 
@@ -221,4 +224,4 @@ def test_wrong_arrays_are_refused() -> None:
         (good, good[..., 0]),
     ):
         with pytest.raises(ValueError, match="texture"):
-            bake(ramp, square(0, 0, 1, 1), coverage, 0, out, cov)
+            bake(ramp, square(0, 0, 1, 1), coverage, out, cov)

@@ -9,7 +9,7 @@ import pytest
 from dante_w.contract.errors import BadInput, OutOfRoom
 from dante_w.scene.mesh import Mesh
 from dante_w.texture import unwrap as module
-from dante_w.texture.unwrap import PADDING, unwrap
+from dante_w.texture.unwrap import UNWRAP, unwrap
 
 
 def cube(offset: float = 0.0) -> Mesh:
@@ -69,7 +69,7 @@ def test_charts_keep_their_distance():
                     groups[face] = joined
     assert len(corners) > 8  # it was cut
     chart = np.array([min(groups[face]) for face in range(len(uvs))] + [-1])[owner]
-    near = PADDING - 1
+    near = UNWRAP.padding - 1
     for row, column in zip(*np.nonzero(chart >= 0), strict=True):
         window = chart[max(row - near, 0) : row + near + 1, max(column - near, 0) : column + near + 1]
         assert set(np.unique(window)) <= {-1, chart[row, column]}

@@ -13,14 +13,8 @@ import numpy as np
 import pytest
 from dante_w.contract.errors import BadInput
 from dante_w.texture import rasterise as uvmap
-from dante_w.texture.rasterise import (
-    bin_faces,
-    check_uvs,
-    overlap_fraction,
-    rasterise,
-    rasterise_bins,
-    rasterise_border,
-)
+from dante_w.texture.check_uvs import check_uvs, overlap_fraction
+from dante_w.texture.rasterise import bin_faces, rasterise, rasterise_bins, rasterise_border
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

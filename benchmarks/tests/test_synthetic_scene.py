@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from dante_w.scene.images import read_photo
 from dante_w.scene.load import load_scene
-from dante_w.texture.rasterise import check_uvs
+from dante_w.texture.check_uvs import check_uvs
 from measure.metrics import srgb_from_linear
 from measure.synthetic_scene import (
     BACKGROUND,

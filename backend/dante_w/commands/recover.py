@@ -28,7 +28,7 @@ def recover(options: RecoverOptions, staging: Path, progress: Progress) -> dict[
     """Recover the albedo texture into `staging`; returns the report. `options` are the command's.
 
     Raises:
-        BadInput: the scene cannot be used, or there is nothing to fit to; see `load.load_scene`, `rasterise.check_uvs`
+        BadInput: the scene cannot be used, or there is nothing to fit to; see `load.load_scene`, `check_uvs.check_uvs`
             and `cast_photos.cast_photos`.
     """
     if options.known and options.unwrap:

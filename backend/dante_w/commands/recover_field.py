@@ -21,13 +21,11 @@ from dante_w.commands.plan_report import (
     samples,
 )
 from dante_w.commands.stages import (
-    GUTTER,
     TEXEL_TYPES,
     bake_files,
     begin,
     check_exposed,
     expect_no_fit,
-    known_gain,
     look,
     pixels,
     prepare,
@@ -55,6 +53,7 @@ from dante_w.run.device import pick_device
 from dante_w.run.progress import Progress
 from dante_w.run.setbacks import Setback
 from dante_w.scene.held_out import choose_held_out
+from dante_w.texture.known_colours import known_gain
 
 #: A fit that leaves more than this part of the loss that it began with, and more than this loss, has told nothing.
 TOLD_NOTHING, LITTLE = 0.9, 0.05
@@ -177,7 +176,7 @@ def _expect(
     progress: Progress,
 ) -> dict[str, Any]:
     """What is said of the run before it begins."""
-    preset, texture = PRESETS[options.preset], Texture(size, TEXEL_TYPES[options.format], GUTTER)
+    preset, texture = PRESETS[options.preset], Texture(size, TEXEL_TYPES[options.format])
     work = Work(
         photos=len(scene.frames),
         pixels=pixels(scene.frames),

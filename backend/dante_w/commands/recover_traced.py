@@ -10,12 +10,10 @@ import numpy as np
 
 from dante_w.commands.plan_report import directions, light, memory, normals, samples, time
 from dante_w.commands.stages import (
-    GUTTER,
     TEXEL_TYPES,
     bake_files,
     begin,
     check_exposed,
-    known_gain,
     look,
     nearest,
     pixels,
@@ -48,6 +46,7 @@ from dante_w.rays.scene3d import Scene3D
 from dante_w.run.checkpoints import Checkpoints, open_checkpoints
 from dante_w.run.progress import Progress
 from dante_w.scene.held_out import choose_held_out
+from dante_w.texture.known_colours import known_gain
 from dante_w.traced.model_selection import Fixed, select_components
 from dante_w.traced.pipeline import TracedScene, examine, recover_albedo
 from dante_w.traced.state import Components, Lighting
@@ -137,7 +136,7 @@ def _start(options: RecoverOptions, staging: Path, progress: Progress) -> _Begun
     sample = take(scene.frames, scene3d)
     all_pixels, kind = pixels(scene.frames), TEXEL_TYPES[options.format]
     work = Work(len(scene.frames), all_pixels, size**2)
-    around = predict(measure(sample, scene3d.mesh, Texture(size, kind, GUTTER), staging), work)
+    around = predict(measure(sample, scene3d.mesh, Texture(size, kind), staging), work)
     count = DIRECTIONS[options.preset]
     suns = _fixed(options).get("sun", Fixed(True)).on
     finer = FINER.get(options.preset, 1)

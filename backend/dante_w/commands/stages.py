@@ -7,7 +7,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from dante_w import __version__
 from dante_w.commands.doctor import library_versions
 from dante_w.commands.plan_report import texture_side
 from dante_w.contract.errors import BadInput
+from dante_w.contract.known_colour import KnownColour
 from dante_w.contract.protocol import Decision, Planned
 from dante_w.contract.scene_folder import Frame, Scene
 from dante_w.estimate.expectation import Expectation, Work, predict, since_start
@@ -35,18 +36,12 @@ from dante_w.scene.images import write_exr, write_png
 from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import Mesh, write_obj
 from dante_w.texture.bake import Texels, bake
+from dante_w.texture.check_uvs import check_uvs
 from dante_w.texture.coverage import Coverage, empty_coverage, mark
-from dante_w.texture.coverage import seen as seen_texels
-from dante_w.texture.known_colours import KnownColour, gain
-from dante_w.texture.rasterise import check_uvs
 from dante_w.texture.unwrap import unwrap
 from dante_w.traced.pixel_weights import CLIPPED
 
-#: Texels beyond each chart that are painted, so that mipmaps and bilinear lookups do not bleed.
-GUTTER = 16
 TEXEL_TYPES = {"png": np.uint8, "png16": np.uint16, "exr": np.float16}
-#: Texels a side at which known colours are looked up.
-LOOKUP = 1024
 
 
 def prepare(
@@ -91,7 +86,7 @@ def expect_no_fit(
 ) -> None:
     """Begin a run whose texture needs no fit, with what its stages will take."""
     work = Work(len(scene.frames), pixels(scene.frames), size**2)
-    texture = Texture(size, TEXEL_TYPES[options.format], GUTTER)
+    texture = Texture(size, TEXEL_TYPES[options.format])
     sample = take(scene.frames, scene3d)
     begin(progress, predict(measure(sample, scene3d.mesh, texture, staging), work))
 
@@ -183,22 +178,6 @@ def nearest(texture: np.ndarray) -> Texels:
     return texels
 
 
-def known_gain(texels: Texels, coverage: Coverage, known: Sequence[KnownColour]) -> np.ndarray:
-    """The gain (3,) on linear albedo that brings it to the colours that the user knows; 1 if there are none.
-
-    Raises:
-        BadInput: see `known_colours.gain`.
-    """
-    if not known:
-        return np.ones(3)
-    side = min(coverage.width, LOOKUP)
-    centre = (np.arange(side) + 0.5) / side
-    u, v = np.meshgrid(centre, 1.0 - centre)
-    texture = texels(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(side, side, 3)
-    place = (centre * coverage.width).astype(np.int64)
-    return gain(texture, seen_texels(coverage)[np.ix_(place, place)], known)
-
-
 def bake_files(
     texels: Texels, mesh: Mesh, coverage: Coverage, kind: str, staging: Path, progress: Progress
 ) -> float:
@@ -208,9 +187,7 @@ def bake_files(
     files = {"albedo.raw": (*shape, 3), "coverage.raw": shape}
     kinds = {"albedo.raw": TEXEL_TYPES[kind], "coverage.raw": np.uint8}
     out, marks = (_mapped(staging / name, kinds[name], files[name]) for name in files)
-    seen = bake(
-        texels, mesh.uvs, coverage, GUTTER, out, marks, lambda done: progress.update("bake", done, 1.0)
-    )
+    seen = bake(texels, mesh.uvs, coverage, out, marks, lambda done: progress.update("bake", done, 1.0))
     progress.update("write", 0, 1)
     if kind == "exr":
         write_exr(staging / "albedo.exr", out)

@@ -64,11 +64,10 @@ class Fitting:
 
 @dataclass(frozen=True)
 class Texture:
-    """The texture to come: texels a `side`, the `kind` of its numbers, and the `gutter`; see `bake.bake`."""
+    """The texture to come: texels a `side`, and the `kind` of its numbers; see `bake.bake`."""
 
     side: int
     kind: type
-    gutter: int
 
 
 @dataclass(frozen=True)
@@ -234,7 +233,7 @@ def _bake(texels: Texels, mesh: Mesh, texture: Texture) -> float:
         out: np.ndarray = np.empty((side, side, 3), texture.kind)
         marks = np.empty((side, side), np.uint8)
         began = time.perf_counter()
-        bake(texels, mesh.uvs, coverage, texture.gutter, out, marks)
+        bake(texels, mesh.uvs, coverage, out, marks)
         return time.perf_counter() - began
 
     once(min(texture.side, WARM_SIDE))

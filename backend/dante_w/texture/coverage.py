@@ -48,10 +48,11 @@ def empty_coverage(width: int, height: int) -> Coverage:
 def mark(coverage: Coverage, uv: np.ndarray, footprint: np.ndarray | float) -> None:
     """Record samples of the photos, in place.
 
-    uv: (N, 2) texture coordinates; samples that are not finite or outside [0, 1] are ignored.
-    footprint: (N,) or one number: texels between this hit and those of the neighbouring samples of its photo;
-    for a pixel seen at a slant its longer side. With every k-th pixel only, k times the pixel. Not finite:
-    ignored.
+    Args:
+        uv: (N, 2) texture coordinates, v up; samples that are not finite or outside [0, 1] are ignored.
+        footprint: (N,) or one number: texels between this hit and those of the neighbouring samples of its photo;
+            for a pixel seen at a slant its longer side. With every k-th pixel only, k times the pixel. Not finite:
+            ignored.
     """
     uv = np.asarray(uv, np.float64).reshape(-1, 2)
     size = np.broadcast_to(np.asarray(footprint, np.float64), (len(uv),))
@@ -62,10 +63,10 @@ def mark(coverage: Coverage, uv: np.ndarray, footprint: np.ndarray | float) -> N
     good = np.isfinite(size) & (uv >= 0).all(axis=1) & (uv <= 1).all(axis=1)
     x, y = uv[good, 0] * coverage.width, (1.0 - uv[good, 1]) * coverage.height
     level = level[good].astype(np.int64)
-    for found in np.unique(level):
-        here, k = level == found, max(int(found), 0)
+    for fine in np.unique(level):
+        members, k = level == fine, max(int(fine), 0)
         columns = (coverage.width + (1 << k) - 1) >> k
-        _mark(coverage.levels[k], columns, x[here] / 2.0**k, y[here] / 2.0**k, bool(found < 0))
+        _mark(coverage.levels[k], columns, x[members] / 2.0**k, y[members] / 2.0**k, bool(fine < 0))
 
 
 def seen(coverage: Coverage, rows: tuple[int, int] | None = None) -> np.ndarray:

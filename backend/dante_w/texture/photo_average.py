@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from dante_w.core.jit import njit
+from dante_w.texture.push_pull import pull, push
 
 
 class PhotoAverage:
@@ -43,11 +44,13 @@ class PhotoAverage:
     def add(
         self, uv: np.ndarray, colour: np.ndarray, weight: np.ndarray | float, footprint: np.ndarray | float
     ) -> None:
-        """Splat samples.
+        """Splat samples. Those with a value that is not finite, outside [0, 1] or without positive weight are ignored.
 
-        uv: (N, 2); colour: (N, 3) linear; weight: (N,) or one number; footprint: (N,) or one number, as for
-        `coverage.mark`. Samples with a value that is not finite, outside [0, 1] or without positive weight
-        are ignored.
+        Args:
+            uv: (N, 2) texture coordinates, v up.
+            colour: (N, 3), linear.
+            weight: (N,) or one number.
+            footprint: (N,) or one number, in texels, as for `coverage.mark`.
         """
         uv = np.asarray(uv, np.float64).reshape(-1, 2)
         colour = np.asarray(colour, np.float32).reshape(-1, 3)
@@ -62,8 +65,9 @@ class PhotoAverage:
         x, y = uv[good, 0] * self.width, (1.0 - uv[good, 1]) * self.height
         colour, weights = colour[good], weights[good]
         for k in np.unique(level):
-            here = level == k
-            _splat(self._levels[k], x[here] / 2.0**k, y[here] / 2.0**k, colour[here], weights[here])
+            members = level == k
+            cells = x[members] / 2.0**k, y[members] / 2.0**k
+            _splat(self._levels[k], *cells, colour[members], weights[members])
 
     def resolve(self) -> np.ndarray:
         """(H, W, 3) float32 linear view: the average, every texel filled (0.5 if there was no sample).
@@ -72,12 +76,12 @@ class PhotoAverage:
         """
         levels = self._levels
         for fine, coarse in pairwise(levels):
-            _pull(fine, coarse)
+            pull(fine, coarse)
         if not levels[-1][0, 0, 3] > 0:
             levels[-1][0, 0] = (0.5, 0.5, 0.5, 1.0)
-        _push(levels[-1], levels[-1])
+        push(levels[-1], 0, levels[-1], 0, levels[-1])
         for k in range(len(levels) - 2, -1, -1):
-            _push(levels[k], levels[k + 1])
+            push(levels[k], 0, levels[k + 1], 0, levels[k])
         del levels[1:]
         return levels[0][..., :3]
 
@@ -98,40 +102,3 @@ def _splat(level: np.ndarray, x: np.ndarray, y: np.ndarray, colour: np.ndarray, 
                 for c in range(3):
                     level[j, i, c] += w * colour[n, c]
                 level[j, i, 3] += w
-
-
-@njit
-def _pull(fine: np.ndarray, coarse: np.ndarray) -> None:
-    """Give the cells of coarse that have no sample of their own the mean of the finer cells in them."""
-    for j in range(coarse.shape[0]):
-        for i in range(coarse.shape[1]):
-            if coarse[j, i, 3] > 0:
-                continue
-            for b in range(2 * j, min(2 * j + 2, fine.shape[0])):
-                for a in range(2 * i, min(2 * i + 2, fine.shape[1])):
-                    for c in range(4):
-                        coarse[j, i, c] += fine[b, a, c]
-
-
-@njit
-def _push(fine: np.ndarray, coarse: np.ndarray) -> None:
-    """Divide by the weight; where there is none interpolate coarse, divided already, bilinearly."""
-    last_row, last_column = coarse.shape[0] - 1, coarse.shape[1] - 1
-    for j in range(fine.shape[0]):
-        row = j // 2
-        other_row = min(max(row + (1 if j % 2 else -1), 0), last_row)
-        for i in range(fine.shape[1]):
-            weight = fine[j, i, 3]
-            if weight > 0:
-                for c in range(3):
-                    fine[j, i, c] /= weight
-                continue
-            column = i // 2
-            other = min(max(column + (1 if i % 2 else -1), 0), last_column)
-            for c in range(3):
-                near = np.float32(0.75) * coarse[row, column, c] + np.float32(0.25) * coarse[row, other, c]
-                far = (
-                    np.float32(0.75) * coarse[other_row, column, c]
-                    + np.float32(0.25) * coarse[other_row, other, c]
-                )
-                fine[j, i, c] = np.float32(0.75) * near + np.float32(0.25) * far

@@ -1,9 +1,8 @@
-"""Smooth filling of the texels nobody knows: push-pull, with memory fixed whatever the texture's size.
+"""Smooth filling of the texels that no photo saw: push-pull in bands, with memory fixed whatever the texture's size.
 
-Pull: a cell of level l holds the mean of the known texels among its 2^l x 2^l. Push: a cell without any is
-interpolated bilinearly from the level above. The levels of at most 1024 cells a side are kept whole, summed
-up as known texels stream in; the finer ones are made again for each band of rows from its own texels, with
-the same result.
+A cell of level l holds the mean of the known texels among its 2^l x 2^l. The coarse levels, of a bounded number of cells
+a side, are kept whole and summed up as known texels stream in. The finer ones are made again for each band of rows from
+its own texels, with the same result.
 """
 
 from __future__ import annotations
@@ -12,18 +11,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dante_w.core.jit import njit
+from dante_w.texture.push_pull import interpolate_at, pull, pull_known, push, scatter
 
-LARGEST_KEPT = 1024
-NOTHING_KNOWN = 0.5  # linear grey, when not one texel is known
+#: Linear grey where not one texel is known.
+NOTHING_KNOWN = 0.5
 
 
 @dataclass
 class Pyramid:
-    """Make one with `empty`; `add` every known texel, `solve`, then `fill` band by band.
+    """Make one with `empty_pyramid`; `add` every known texel, `solve`, then `fill` band by band.
 
-    level: the finest level kept. total: (h, w, 4) float32 sums of colour and count there. solved: levels
-    `level`, level + 1, ..., each (h, w, 3) float32.
+    Attributes:
+        width, height: texels of the texture.
+        level: the finest level kept whole; its cells are 2^level texels wide.
+        total: (h, w, 4) float32 sums of linear colour and count there.
+        solved: levels `level`, level + 1, ..., each (h, w, 3) float32 linear colours.
     """
 
     width: int
@@ -34,17 +36,17 @@ class Pyramid:
 
     def add(self, row: np.ndarray, column: np.ndarray, colour: np.ndarray) -> None:
         """Known texels: (N,) rows and columns, (N, 3) float32 linear colours."""
-        _scatter(self.total, row >> self.level, column >> self.level, colour)
+        scatter(self.total, row >> self.level, column >> self.level, colour)
 
     def solve(self) -> None:
         """Fill the levels kept; no `add` after this."""
         totals = [self.total]
         while max(totals[-1].shape[:2]) > 1:
-            totals.append(_halve(totals[-1]))
+            totals.append(_pulled(totals[-1]))
         grey = np.full((1, 1, 3), NOTHING_KNOWN, np.float32)
-        solved = [_push(totals.pop(), 0, grey, 0)]
+        solved = [_pushed(totals.pop(), 0, grey, 0)]
         while totals:
-            solved.append(_push(totals.pop(), 0, solved[-1], 0))
+            solved.append(_pushed(totals.pop(), 0, solved[-1], 0))
         self.solved = solved[::-1]
         self.total = self.total[:0]
 
@@ -63,101 +65,54 @@ class Pyramid:
         row: np.ndarray,
         column: np.ndarray,
     ) -> np.ndarray:
-        """(N, 3) float32: colours for the unknown texels at (row, column), int64 (N,), of rows r0..r1-1.
+        """(N, 3) float32 linear colours for the unknown texels at (row, column), int64 (N,), of a band of rows.
 
-        colour: (n, W, 3) float32 and known: (n, W) bool for the rows `needs(rows)`; colour is read where known.
+        Args:
+            rows: first row of the band and the row after its last.
+            colour: (n, W, 3) float32, linear, for the rows `needs(rows)`; read where known.
+            known: (n, W) bool for the same rows.
         """
         if self.level == 0:
             return self.solved[0][row, column]
-        first = self.needs(rows)[
-            0
-        ]  # a multiple of 2^level, so that pairs of rows start at its row on every level
+        first = self.needs(rows)[0]  # a multiple of 2^level, so pairs of rows start at its row on every level
         totals: list[np.ndarray] = []
         for _ in range(1, self.level):
-            totals.append(_halve(totals[-1]) if totals else _halve_known(colour, known))
+            totals.append(_pulled(totals[-1]) if totals else _pulled_known(colour, known))
         finer, top = self.solved[0], 0
         for level in range(self.level - 1, 0, -1):
-            finer, top = _push(totals.pop(), first >> level, finer, top), first >> level
-        return _at(finer, top, row, column)
+            finer, top = _pushed(totals.pop(), first >> level, finer, top), first >> level
+        out = np.empty((len(row), 3), np.float32)
+        interpolate_at(finer, top, row, column, out)
+        return out
 
 
-def empty(width: int, height: int) -> Pyramid:
-    """A pyramid for a texture of width x height texels, none known."""
+def empty_pyramid(width: int, height: int, largest_kept: int) -> Pyramid:
+    """A pyramid for a texture of width x height texels, none known; levels of at most `largest_kept` cells a side are kept
+    whole."""
     level = 0
-    while max(width, height) > LARGEST_KEPT << level:
+    while max(width, height) > largest_kept << level:
         level += 1
     cell = 1 << level
     return Pyramid(width, height, level, np.zeros((-(-height // cell), -(-width // cell), 4), np.float32))
 
 
-@njit
-def _scatter(total: np.ndarray, row: np.ndarray, column: np.ndarray, colour: np.ndarray) -> None:
-    for n in range(len(row)):
-        cell = total[row[n], column[n]]
-        for c in range(3):
-            cell[c] += colour[n, c]
-        cell[3] += 1
+def _empty_above(rows: int, columns: int) -> np.ndarray:
+    return np.zeros(((rows + 1) // 2, (columns + 1) // 2, 4), np.float32)
 
 
-@njit
-def _halve(total: np.ndarray) -> np.ndarray:
-    """Sums of 2 x 2 cells."""
-    rows, columns = total.shape[0], total.shape[1]
-    coarse = np.zeros(((rows + 1) // 2, (columns + 1) // 2, 4), np.float32)
-    for j in range(rows):
-        for i in range(columns):
-            for c in range(4):
-                coarse[j // 2, i // 2, c] += total[j, i, c]
+def _pulled(fine: np.ndarray) -> np.ndarray:
+    coarse = _empty_above(*fine.shape[:2])
+    pull(fine, coarse)
     return coarse
 
 
-@njit
-def _halve_known(colour: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Sums of colour and count of the known texels of 2 x 2."""
-    rows, columns = known.shape
-    coarse = np.zeros(((rows + 1) // 2, (columns + 1) // 2, 4), np.float32)
-    for j in range(rows):
-        for i in range(columns):
-            if known[j, i]:
-                for c in range(3):
-                    coarse[j // 2, i // 2, c] += colour[j, i, c]
-                coarse[j // 2, i // 2, 3] += 1
+def _pulled_known(colour: np.ndarray, known: np.ndarray) -> np.ndarray:
+    coarse = _empty_above(*known.shape)
+    pull_known(colour, known, coarse)
     return coarse
 
 
-@njit
-def _between(coarse: np.ndarray, above: int, j: int, i: int, out: np.ndarray) -> None:
-    """Bilinear value of the level above at the centre of cell (j, i); beyond coarse its edge continues."""
-    last_row, last_column = coarse.shape[0] - 1, coarse.shape[1] - 1
-    row, column = min(j // 2 - above, last_row), min(i // 2, last_column)
-    other_row = min(max(row + (1 if j % 2 else -1), 0), last_row)
-    other = min(max(column + (1 if i % 2 else -1), 0), last_column)
-    for c in range(3):
-        near = np.float32(0.75) * coarse[row, column, c] + np.float32(0.25) * coarse[row, other, c]
-        far = np.float32(0.75) * coarse[other_row, column, c] + np.float32(0.25) * coarse[other_row, other, c]
-        out[c] = np.float32(0.75) * near + np.float32(0.25) * far
-
-
-@njit
-def _push(total: np.ndarray, first: int, coarse: np.ndarray, above: int) -> np.ndarray:
-    """Means of the cells with a count, the others from the level above.
-
-    Row 0 of total is row `first` of its level, row 0 of coarse row `above` of its.
-    """
-    out = np.empty((total.shape[0], total.shape[1], 3), np.float32)
-    for j in range(total.shape[0]):
-        for i in range(total.shape[1]):
-            if total[j, i, 3] > 0:
-                for c in range(3):
-                    out[j, i, c] = total[j, i, c] / total[j, i, 3]
-            else:
-                _between(coarse, above, first + j, i, out[j, i])
-    return out
-
-
-@njit
-def _at(coarse: np.ndarray, above: int, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    out = np.empty((len(row), 3), np.float32)
-    for n in range(len(row)):
-        _between(coarse, above, row[n], column[n], out[n])
+def _pushed(total: np.ndarray, first: int, coarse: np.ndarray, above: int) -> np.ndarray:
+    out = np.empty((*total.shape[:2], 3), np.float32)
+    push(total, first, coarse, above, out)
     return out

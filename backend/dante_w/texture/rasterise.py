@@ -1,4 +1,4 @@
-"""Which face covers which texel: an exact rasteriser of UV triangles; the check that UVs fit a texture.
+"""Which face covers which texel: an exact rasteriser of UV triangles.
 
 Texel (column i, row j) of a W x H texture has its centre at u = (i + 0.5) / W, v = 1 - (j + 0.5) / H.
 Corners are snapped to 1/16384 texel and everything after that is integer arithmetic, so two triangles that
@@ -9,21 +9,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from dante_w.contract.errors import BadInput
 from dante_w.core.jit import njit
 
-LARGEST = 32768  # texels along a side: keeps the products of two fixed-point lengths inside 63 bits
-UV_TOLERANCE = 1e-4
-OVERLAP_SIZE = 1024
-OVERLAP_LIMIT = 0.01
-OVERLAP_MARGIN = 0.25  # texels of OVERLAP_SIZE: charts that touch, or overlap by a rounding error, are fine
-
-_ONE = 1 << 14  # one texel in fixed point
+#: Texels along a side: keeps the products of two fixed-point lengths inside 63 bits.
+LARGEST = 32768
+#: One texel in fixed point.
+_ONE = 1 << 14
 _HALF = _ONE // 2
+#: Rows of a band of `Bins`.
 _BIN_ROWS = 64
 
 
@@ -90,59 +86,25 @@ def rasterise_border(bins: Bins, rows: tuple[int, int], owner: np.ndarray) -> tu
     float64: the nearest point of the nearest triangle, at most sqrt(2) texels away.
     """
     reach = math.sqrt(2.0) * (1 + 1e-9)
-    found = np.full(
-        (*owner.shape, 3), np.inf, np.float32
-    )  # squared distance, then the way to the point, in texels
+    # squared distance to the nearest point, then the offset to it, in texels
+    nearest = np.full((*owner.shape, 3), np.inf, np.float32)
     for faces, low, high in _bands(bins, rows):
-        _border(bins.points, faces, low, high, rows[0], reach, owner, found)
-    index = np.flatnonzero(found[..., 0] <= reach * reach)
-    way = found.reshape(-1, 3)[index, 1:].astype(np.float64)
+        _border(bins.points, faces, low, high, rows[0], reach, owner, nearest)
+    index = np.flatnonzero(nearest[..., 0] <= reach * reach)
+    offset = nearest.reshape(-1, 3)[index, 1:].astype(np.float64)
     row, column = np.divmod(index, bins.width)
-    u = (column + 0.5 + way[:, 0]) / bins.width
-    v = 1.0 - (row + rows[0] + 0.5 + way[:, 1]) / bins.height
+    u = (column + 0.5 + offset[:, 0]) / bins.width
+    v = 1.0 - (row + rows[0] + 0.5 + offset[:, 1]) / bins.height
     return index, np.stack([u, v], axis=1)
 
 
-def overlap_fraction(uvs: np.ndarray, size: int = OVERLAP_SIZE, margin: float = OVERLAP_MARGIN) -> float:
-    """Share of the texels on the mesh whose centre lies well inside two or more UV triangles.
-
-    uvs: (F, 3, 2), rasterised at size x size. "Well inside": at least `margin` texels, or a quarter of the
-    triangle's inscribed circle if that is less, from every edge. 0 when no triangle covers a texel.
-    """
-    bins = bin_faces(uvs, size, size)
-    covered = doubled = 0
-    for start in range(0, size, _BIN_ROWS):
-        rows = (start, min(start + _BIN_ROWS, size))
-        count = np.zeros((rows[1] - rows[0], size), np.int32)
-        for faces, low, high in _bands(bins, rows):
-            _fill(bins.points, faces, low, high, rows[0], margin, True, count)
-        covered += int(np.count_nonzero((rasterise_bins(bins, rows) >= 0) | (count > 0)))
-        doubled += int(np.count_nonzero(count > 1))
-    return doubled / covered if covered else 0.0
-
-
-def check_uvs(uvs: np.ndarray | None, mesh: str | Path) -> None:
-    """Make sure that a texture can be painted through these UVs: (F, 3, 2), or None for a mesh without.
-
-    Raises BadInput, naming the mesh and the fix, when there are none, when some are not finite or outside 0
-    to 1, when no triangle has an area, or when more than 1% of the texels on the mesh lie in several places.
-    """
-    fix = "run again with --unwrap to make new ones."
-    if uvs is None or uvs.size == 0:
-        raise BadInput(f"{mesh} has no UVs: {fix}")
-    if not np.isfinite(uvs).all():
-        raise BadInput(f"{mesh} has UVs that are not finite numbers: {fix}")
-    low, high = float(uvs.min()), float(uvs.max())
-    if low < -UV_TOLERANCE or high > 1 + UV_TOLERANCE:
-        raise BadInput(
-            f"{mesh} has UVs from {low:.4g} to {high:.4g}, outside 0 to 1 (UDIM tiles are not supported yet): {fix}"
-        )
-    edge, other = uvs[:, 1] - uvs[:, 0], uvs[:, 2] - uvs[:, 0]
-    if float(np.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0]).sum()) < 1e-12:
-        raise BadInput(f"{mesh} has UVs without any area: {fix}")
-    overlap = overlap_fraction(uvs)
-    if overlap > OVERLAP_LIMIT:
-        raise BadInput(f"{mesh} has UVs that overlap on {overlap:.0%} of their area: {fix}")
+def count_bins(bins: Bins, rows: tuple[int, int], margin: float) -> np.ndarray:
+    """(r1 - r0, W) int32: how many triangles hold each texel centre of the rows well inside: at least `margin` texels, or a
+    quarter of the triangle's inscribed circle if that is less, from every edge."""
+    count = np.zeros((rows[1] - rows[0], bins.width), np.int32)
+    for faces, low, high in _bands(bins, rows):
+        _fill(bins.points, faces, low, high, rows[0], margin, True, count)
+    return count
 
 
 def _bands(bins: Bins, rows: tuple[int, int]) -> list[tuple[np.ndarray, int, int]]:
@@ -258,9 +220,9 @@ def _border(
     top: int,
     reach: float,
     owner: np.ndarray,
-    found: np.ndarray,
+    nearest: np.ndarray,
 ) -> None:
-    """Nearest point of the nearest face, for texels without owner: found = (d^2, dx, dy)."""
+    """Nearest point of the nearest face, for texels without owner: nearest = (d^2, dx, dy)."""
     edges = np.empty((3, 5), np.int64)
     for f in faces:
         if not _edges(points, f, -reach, edges):
@@ -280,7 +242,7 @@ def _border(
                     px, py = i + 0.5 - edges[k, 2] / _ONE, j + 0.5 - edges[k, 3] / _ONE
                     along = min(max((px * dx + py * dy) / max(dx * dx + dy * dy, 1e-30), 0.0), 1.0)
                     x, y = px - along * dx, py - along * dy
-                    if x * x + y * y < found[j - top, i, 0]:
-                        found[j - top, i, 0] = x * x + y * y
-                        found[j - top, i, 1] = -x
-                        found[j - top, i, 2] = -y
+                    if x * x + y * y < nearest[j - top, i, 0]:
+                        nearest[j - top, i, 0] = x * x + y * y
+                        nearest[j - top, i, 1] = -x
+                        nearest[j - top, i, 2] = -y

@@ -12,16 +12,27 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dante_w.contract.errors import BadInput, OutOfRoom
 from dante_w.scene.mesh import Mesh
 
-PADDING = 4  #: texels between charts
-_FACES_PER_SECOND = 3000.0  #: measured on one core; only the progress shown depends on it
-_BEAT = 0.25  #: seconds between reports
+
+@dataclass(frozen=True)
+class UnwrapSettings:
+    """How charts are packed, and how progress is reported."""
+
+    #: Texels between charts: room for the border that bilinear lookups read, on either side.
+    padding: int = 4
+    #: Faces that xatlas unwraps in a second on one core; only the progress shown depends on it.
+    faces_per_second: float = 3000.0
+    #: Seconds between reports of progress.
+    interval: float = 0.25
+
+
+UNWRAP = UnwrapSettings()
 
 #: Reads the arrays from stdin, writes their UVs to stdout. It must not outlive the backend, which may leave
 #: in the middle of this, nor wait for xatlas when Ctrl-C is pressed.
@@ -53,10 +64,12 @@ sys.stdout.buffer.write(result.getvalue())
 """
 
 
-def unwrap(mesh: Mesh, progress: Callable[[float], None], size: int = 2048) -> Mesh:
+def unwrap(
+    mesh: Mesh, progress: Callable[[float], None], size: int = 2048, settings: UnwrapSettings = UNWRAP
+) -> Mesh:
     """The same vertices and faces, in the same order, with new UVs in [0, 1]; old UVs are ignored.
 
-    Faces without area get UVs (0, 0). Charts lie about 4 texels apart in a texture of `size` texels.
+    Faces without area get UVs (0, 0). Charts lie about `padding` texels apart in a texture of `size` texels a side.
 
     Args:
         progress: called a few times a second with the fraction done, a guess from the number of faces. What
@@ -69,7 +82,8 @@ def unwrap(mesh: Mesh, progress: Callable[[float], None], size: int = 2048) -> M
     arrays = io.BytesIO()
     np.save(arrays, _unit_cube(mesh.vertices))
     np.save(arrays, mesh.faces.astype(np.uint32))
-    result = _run_child(arrays.getvalue(), size, progress, len(mesh.faces) / _FACES_PER_SECOND)
+    expected = len(mesh.faces) / settings.faces_per_second
+    result = _run_child(arrays.getvalue(), size, progress, expected, settings)
     uvs = np.load(io.BytesIO(result))
     if uvs.shape != (len(mesh.faces), 3, 2) or not np.isfinite(uvs).all():
         raise BadInput("the mesh could not be unwrapped (xatlas left faces out); unwrap it in Blender.")
@@ -84,9 +98,16 @@ def _unit_cube(vertices: np.ndarray) -> np.ndarray:
     return ((vertices - low) / (extent or 1.0)).astype(np.float32)
 
 
-def _run_child(data: bytes | None, size: int, progress: Callable[[float], None], expected: float) -> bytes:
+def _run_child(
+    data: bytes | None,
+    size: int,
+    progress: Callable[[float], None],
+    expected: float,
+    settings: UnwrapSettings,
+) -> bytes:
+    """What the child writes; `expected` seconds from now, about."""
     child = subprocess.Popen(
-        [sys.executable, "-I", "-c", _CHILD, str(size), str(PADDING)],
+        [sys.executable, "-I", "-c", _CHILD, str(size), str(settings.padding)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
@@ -98,7 +119,7 @@ def _run_child(data: bytes | None, size: int, progress: Callable[[float], None],
             share = (time.monotonic() - began) / max(expected, 1e-3)
             progress(share / (1.0 + share))  # never done before it is
             with contextlib.suppress(subprocess.TimeoutExpired):
-                result, _ = child.communicate(data, timeout=_BEAT)
+                result, _ = child.communicate(data, timeout=settings.interval)
             data = None  # communicate remembers it
     finally:
         if child.poll() is None:
