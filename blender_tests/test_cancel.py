@@ -13,18 +13,26 @@ from dante_w_addon.blender import material
 from dante_w_addon.bridge import job
 
 
+def child_of_stubborn(folder):
+    """Wait for the process that the stand-in starts; it ignores SIGTERM, too."""
+    file = folder / "dante_w" / "Cube" / "scene" / "child.pid"
+    end = time.monotonic() + 20.0
+    while not file.exists() or not file.read_text():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    return int(file.read_text())
+
+
 @pytest.mark.parametrize("mode", ["slow", "stubborn"])
 def test_cancel_within_a_second_leaves_no_orphan(addon, standin, scene, tmp_path, mode):
     standin(mode)
     bpy.ops.dantew.recover()
-    child_file = tmp_path / "dante_w" / "Cube" / "scene" / "child.pid"
-    while job.recovery.progress.step.stage != "optimise" or (mode == "stubborn" and not child_file.exists()):
-        job.tick()
-        time.sleep(0.02)
-    time.sleep(0.1)
     pids = [job.recovery.process.pid]
     if mode == "stubborn":
-        pids.append(int(child_file.read_text()))
+        pids.append(child_of_stubborn(tmp_path))
+    while job.recovery.progress.step.stage != "optimise":
+        job.tick()
+        time.sleep(0.02)
     assert all(map(alive, pids))
     before = time.monotonic()
     bpy.ops.dantew.cancel()
@@ -37,13 +45,16 @@ def test_cancel_within_a_second_leaves_no_orphan(addon, standin, scene, tmp_path
     assert material.display_of(bpy.data.objects["Cube"]) is None
 
 
-def test_opening_another_file_stops_the_backend(addon, standin, scene):
-    standin("slow")
+@pytest.mark.parametrize("mode", ["slow", "stubborn"])
+def test_opening_another_file_stops_the_backend(addon, standin, scene, tmp_path, mode):
+    standin(mode)
     bpy.ops.dantew.recover()
-    pid = job.recovery.process.pid
-    assert alive(pid)
+    pids = [job.recovery.process.pid]
+    if mode == "stubborn":
+        pids.append(child_of_stubborn(tmp_path))
+    assert all(map(alive, pids))
     bpy.ops.wm.read_homefile(use_empty=True)
-    assert not alive(pid)
+    assert not any(map(alive, pids))
     assert job.recovery is None
 
 

@@ -27,6 +27,16 @@ STORED = {
     "samples": (5, 5),
     "hdri_file": ("/x", "/x"),
 }
+#: Menus of version 0.1.0: entries may be added at the end alone.
+MENUS = {
+    "preset": "draft standard high paper",
+    "texture_size": "AUTO 1024 2048 4096 8192 16384",
+    "device": "auto cpu cuda mps",
+    "file_format": "png png16 exr",
+    "irradiance": "traced field",
+    "model_sun": "AUTO ON OFF",
+    "storage": "PACK FILE",
+}
 SPOT = {"u": 0.25, "v": 0.5, "uv_map": "UVMap", "grey": 0, "colour": (0.25, 0.5, 0.75)}
 
 
@@ -54,6 +64,13 @@ def test_a_scene_of_version_0_1_0_keeps_its_settings():
     finally:
         known_colours.unregister()
         properties.unregister()
+
+
+def test_menus_keep_their_entries(addon, scene):
+    for name, words in MENUS.items():
+        entries = properties.settings_of(scene).bl_rna.properties[name].enum_items
+        assert [entry.identifier for entry in entries][: len(words.split())] == words.split()
+        assert [entry.value for entry in entries] == list(range(len(entries)))
 
 
 def test_every_component_has_its_property(addon, scene):

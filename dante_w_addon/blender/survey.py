@@ -84,5 +84,5 @@ def _overlay_off(scene: bpy.types.Scene, photo_list: list[photos.Photo]) -> bool
     size = photos.header_size(path) if path else None
     if size is None:
         return False
-    photo, render = size[0] * scene.render.resolution_y, size[1] * scene.render.resolution_x
-    return abs(photo - render) > ASPECT_TOLERANCE * max(photo, render)
+    first, second = size[0] * scene.render.resolution_y, size[1] * scene.render.resolution_x
+    return abs(first - second) > ASPECT_TOLERANCE * max(first, second)
