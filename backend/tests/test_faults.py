@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import psutil
@@ -18,15 +19,23 @@ from dante_w.commands import stages
 from dante_w.commands import worker as job
 from dante_w.commands.cli import main
 from dante_w.contract.errors import BadInput, Cancelled
-from dante_w.run import result_folder
+from dante_w.contract.protocol import Step
+from dante_w.run import own_folders, result_folder, scratch
 from dante_w.run.progress import Progress
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no kill -9 to send")
-RESULT = {"albedo.png": "new", "coverage.png": "new", "report.json": "new"}
+NAMES = ("albedo.png", "coverage.png", "report.json")
+
+
+def report(word: str, names: Sequence[str] = NAMES) -> str:
+    return json.dumps({"dante_w": "0.1.0", "word": word, "files": list(names)})
+
+
+RESULT = {"albedo.png": "new", "coverage.png": "new", "report.json": report("new")}
 
 
 def staged(out: Path) -> Path:
-    staging = result_folder.stage(out)
+    staging = result_folder.stage(out, NAMES)
     for name, text in RESULT.items():
         (staging / name).write_text(text)
     (staging / "rays").mkdir()
@@ -36,16 +45,17 @@ def staged(out: Path) -> Path:
 
 def former(out: Path) -> dict[str, str]:
     out.mkdir(exist_ok=True)
-    for name in RESULT:
-        (out / name).write_text("former")
-    return dict.fromkeys(RESULT, "former")
+    result = {"albedo.png": "former", "coverage.png": "former", "report.json": report("former")}
+    for name, text in result.items():
+        (out / name).write_text(text)
+    return result
 
 
 def content(out: Path) -> dict[str, str]:
     return {path.name: path.read_text() for path in out.iterdir() if path.is_file()}
 
 
-@pytest.mark.parametrize("renamed", range(4))
+@pytest.mark.parametrize("renamed", range(5))
 def test_a_result_half_in_place_is_completed_by_whoever_comes_next(tmp_path, monkeypatch, renamed):
     former(tmp_path)
     staged(tmp_path)
@@ -59,10 +69,10 @@ def test_a_result_half_in_place_is_completed_by_whoever_comes_next(tmp_path, mon
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", struck)
-        if renamed < 3:
+        if renamed < 4:
             with pytest.raises(KeyboardInterrupt):
                 result_folder.publish(tmp_path)
-            assert "report.json" not in content(tmp_path)
+            assert ("report.json" in content(tmp_path)) == (renamed == 0)
         else:
             result_folder.publish(tmp_path)
     result_folder.abandon(tmp_path)
@@ -72,7 +82,7 @@ def test_a_result_half_in_place_is_completed_by_whoever_comes_next(tmp_path, mon
 def test_before_the_staging_folder_is_whole_the_former_result_stands(tmp_path):
     expected = former(tmp_path)
     staged(tmp_path)
-    result_folder.stage(tmp_path)  # the next run, after a kill
+    result_folder.stage(tmp_path, NAMES)  # the next run, after a kill
     assert content(tmp_path) == expected
     result_folder.abandon(tmp_path)
     assert content(tmp_path) == expected and len(list(tmp_path.iterdir())) == 3
@@ -81,17 +91,23 @@ def test_before_the_staging_folder_is_whole_the_former_result_stands(tmp_path):
 def test_a_folder_in_a_files_place_is_refused_before_anything_is_moved(tmp_path):
     former(tmp_path)
     (tmp_path / "albedo.png").unlink()
+    expected = content(tmp_path)
+    staging = staged(tmp_path)
     (tmp_path / "albedo.png").mkdir()
-    staged(tmp_path)
     with pytest.raises(BadInput, match=r"albedo\.png"):
         result_folder.publish(tmp_path)
-    assert content(tmp_path) == {"coverage.png": "former", "report.json": "former"}
+    assert content(tmp_path) == expected and staging.is_dir()
+    result_folder.abandon(tmp_path)
+    with pytest.raises(BadInput, match=r"albedo\.png"):
+        result_folder.stage(tmp_path, NAMES)
+    assert content(tmp_path) == expected and (tmp_path / "albedo.png").is_dir()
 
 
 def begun_by(process: psutil.Process, out: Path, kind: str, later: float = 0.0) -> Path:
     """A folder with a result in it, as a process leaves it in `out`; or one of its number that began `later`."""
-    folder = out / f".{kind}-{process.pid}-{int(process.create_time() + later)}"
-    folder.mkdir(parents=True)
+    token = f"{process.pid}-{int(process.create_time() + later)}"
+    folder = out / f".{kind}-{token}"
+    own_folders.make(folder, token)
     for name, text in RESULT.items():
         (folder / name).write_text(text)
     return folder
@@ -102,9 +118,9 @@ def test_what_a_living_process_has_begun_nobody_else_touches(tmp_path, kind):
     expected, first = former(tmp_path), psutil.Process(os.getppid())
     folder = begun_by(first, tmp_path, kind)
     with pytest.raises(BadInput, match=rf"another run \(process {first.pid}\) is at work here"):
-        result_folder.stage(tmp_path)
+        result_folder.stage(tmp_path, NAMES)
     result_folder.abandon(tmp_path)  # by the refused one, or by the guard of one that died
-    assert content(tmp_path) == expected and content(folder) == RESULT
+    assert content(tmp_path) == expected and content(folder).items() >= RESULT.items()
     assert list(tmp_path.glob(".*")) == [folder]
 
 
@@ -120,21 +136,23 @@ def test_the_dead_are_in_nobodys_way(tmp_path, later):
         until = time.monotonic() + 10.0
         while alive(process) and not later and time.monotonic() < until:
             time.sleep(0.01)
-        staging = result_folder.stage(tmp_path)
-        assert list(tmp_path.iterdir()) == [staging] and content(staging) == {}
+        staging = result_folder.stage(tmp_path, NAMES)
+        assert list(tmp_path.iterdir()) == [staging] and list(content(staging)) == [own_folders.MARKER]
 
 
 #: A run that is told when to end.
 FIRST = """
 import sys
 from pathlib import Path
-from dante_w.run import result_folder
+from dante_w.contract.protocol import Step
+from dante_w.run import own_folders, result_folder, scratch
 out = Path(sys.argv[1])
-staging = result_folder.stage(out)
+names = ("albedo.png", "coverage.png", "report.json")
+staging = result_folder.stage(out, names)
 print("at work", flush=True)
-sys.stdin.read()
-for name in ("albedo.png", "coverage.png", "report.json"):
-    (staging / name).write_text("new")
+report = sys.stdin.read()
+for name in names:
+    (staging / name).write_text(report if name == "report.json" else "new")
 result_folder.publish(out)
 """
 
@@ -142,8 +160,8 @@ result_folder.publish(out)
 def test_a_second_run_into_one_folder_is_refused_and_the_first_ends_well(scene, tmp_path, capsys):
     out = tmp_path / "out"
     expected = former(out)
-    (out / ".resume").mkdir()
-    (out / ".resume/inputs.txt").write_text("kept")
+    own_folders.make(out / ".resume", "the former run's inputs")
+    checkpoints = content(out / ".resume")
     command = [sys.executable, "-c", FIRST, str(out)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as first:
         assert first.stdin is not None and first.stdout is not None
@@ -152,7 +170,8 @@ def test_a_second_run_into_one_folder_is_refused_and_the_first_ends_well(scene, 
             assert main([*options, str(scene), "--out", str(out), "--json"]) == 2
             said = json.loads(capsys.readouterr().out.splitlines()[-1])
             assert (said["code"], str(first.pid) in said["message"]) == (2, True)
-        assert content(out) == expected and content(out / ".resume") == {"inputs.txt": "kept"}
+        assert content(out) == expected and content(out / ".resume") == checkpoints
+        first.stdin.write(report("new"))
         first.stdin.close()
         assert first.wait() == 0
     assert content(out) == RESULT and len(list(out.iterdir())) == 3
@@ -164,10 +183,13 @@ def test_scratch_folders_of_killed_processes_are_removed(tmp_path, monkeypatch):
     dead.wait()
     for name in (f"dante-w-{dead.pid}-x", f"dante-w-{os.getppid()}-x", "dante-w-addon"):
         (tmp_path / name).mkdir()
-    own = result_folder.scratch()
+    (tmp_path / f"dante-w-{dead.pid}-y").mkdir()
+    (tmp_path / f"dante-w-{dead.pid}-y" / "precious").write_text("of somebody else")
+    own_folders.make(tmp_path / f"dante-w-{dead.pid}-z", str(dead.pid))
+    own = scratch.scratch()
     left = {path.name for path in tmp_path.iterdir()}
-    assert left == {own.name, f"dante-w-{os.getppid()}-x", "dante-w-addon"}
-    result_folder.discard(os.getpid())
+    assert left == {own.name, f"dante-w-{os.getppid()}-x", f"dante-w-{dead.pid}-y", "dante-w-addon"}
+    scratch.discard(os.getpid())
     assert not own.exists()
 
 
@@ -204,7 +226,7 @@ def test_whoever_stops_reading_cancels(monkeypatch):
 
     monkeypatch.setattr(sys, "stdout", Gone())
     with pytest.raises(Cancelled):
-        Progress(True).say({"stage": "scene"})
+        Progress(True).say(Step("scene", 0, 1))
     assert job.fail(True, 3, "Cancelled.") == 3
 
 

@@ -179,6 +179,7 @@ def test_a_mesh_without_uvs_is_unwrapped_on_request(scene, tmp_path, capsys):
     code, events = run(capsys, "recover", scene, "--out", tmp_path / "out", "--unwrap")
     assert code == 0 and "unwrap" in {event["stage"] for event in events}
     assert (tmp_path / "out/mesh.obj").read_text().count("\nvt ") >= 3
+    assert sorted(events[-1]["report"]["files"]) == sorted(path.name for path in (tmp_path / "out").iterdir())
 
 
 def test_colmap_scenes_give_the_same_result(scene, tmp_path, capsys):
@@ -241,6 +242,7 @@ def test_bad_input_ends_in_one_sentence_and_loses_nothing(tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
     (out / "albedo.png").write_text("former result")
+    (out / "report.json").write_text(json.dumps({"dante_w": "0.1.0", "files": ["albedo.png", "report.json"]}))
     for name, (arguments, message) in broken_scenes(tmp_path).items():
         code = main(["recover", *arguments, "--out", str(out), "--json"])
         captured = capsys.readouterr()
@@ -248,7 +250,7 @@ def test_bad_input_ends_in_one_sentence_and_loses_nothing(tmp_path, capsys):
         assert (code, last["stage"], last["code"]) == (2, "error", 2), (name, last)
         assert re.search(message, last["message"]), (name, last["message"])
         assert "\n" not in last["message"] and "Traceback" not in captured.err, name
-        assert [p.name for p in out.iterdir()] == ["albedo.png"], name
+        assert sorted(p.name for p in out.iterdir()) == ["albedo.png", "report.json"], name
     assert (out / "albedo.png").read_text() == "former result"
 
 

@@ -31,7 +31,7 @@ from dante_w.rays.scene3d import Scene3D
 from dante_w.run.checkpoints import Checkpoints
 from dante_w.run.device import peak_memory
 from dante_w.run.progress import Progress
-from dante_w.run.result_folder import REPORT
+from dante_w.run.result_files import REPORT, names_in, refuse_inputs
 from dante_w.scene.images import write_exr, write_png
 from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import Mesh, write_obj
@@ -51,6 +51,8 @@ def prepare(
     why so many. `texel`: bytes that one takes while the texture is made."""
     scene, mesh = load_scene(options.scene, options.mesh, options.images, priors)
     name = options.mesh or scene.mesh or scene.source
+    if options.out is not None:
+        refuse_inputs(options.out, files_read(scene, name))
     if options.unwrap:
         mesh = dataclasses.replace(mesh, uvs=None)
     else:
@@ -68,6 +70,12 @@ def prepare(
         assert mesh.uvs is not None
         scene3d = scene3d.with_uvs(mesh.uvs)
     return scene, scene3d, size, decision
+
+
+def files_read(scene: Scene, mesh: Path) -> list[Path]:
+    """The files that a run reads."""
+    images = [path for frame in scene.frames for path in (frame.image, frame.mask, frame.albedo) if path]
+    return [scene.source, mesh, *images]
 
 
 def say_plan(options: RecoverOptions, decisions: list[Decision], progress: Progress) -> None:
@@ -219,6 +227,7 @@ def write_report(options: RecoverOptions, staging: Path, progress: Progress, **f
         "dante_w": __version__,
         "settings": {name: _plain(v) for name, v in vars(options).items()},
         **facts,
+        "files": [*names_in(staging), REPORT],
         "seconds": progress.seconds,
         "peak_memory_bytes": peak_memory(),
         "versions": library_versions(),

@@ -22,7 +22,9 @@ from dante_w.contract.protocol import Done, Failed
 from dante_w.options import Call, RecoverOptions
 from dante_w.run import distributed
 from dante_w.run.progress import Progress
-from dante_w.run.result_folder import abandon, discard, is_full, publish, scratch, stage
+from dante_w.run.result_files import names_to_write
+from dante_w.run.result_folder import abandon, is_full, publish, stage
+from dante_w.run.scratch import discard, scratch
 
 #: What ends a run early: Ctrl-C, a polite kill, a closed terminal, and how Windows ends a process group.
 SIGNALS = [
@@ -110,7 +112,10 @@ def _work(call: Call, progress: Progress) -> dict[str, Any]:
     options = call.options
     if distributed.rank() > 0 and options.out is not None:
         options = replace(options, out=scratch())
-    staging = scratch() if options.out is None else stage(options.out)
+    if options.out is None:
+        staging = scratch()
+    else:
+        staging = stage(options.out, names_to_write(options.format, options.unwrap))
     work = {"recover": recover.recover, "average": recover.average, "plan": recover.plan}[call.command]
     return work(options, staging, progress)
 

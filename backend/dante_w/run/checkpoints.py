@@ -1,8 +1,9 @@
 """What a run has worked out so far, kept beside its result in case it is killed: `--resume` goes on from there.
 
 A checkpoint is a folder with one `.npy` file per array and the rest as JSON; nothing is pickled. Its name appears when it is
-whole. All of them belong to one state of the inputs, told by a hash; they are removed when others are found, when a run
-starts without `--resume`, and when it ends well.
+whole. All of them belong to one state of the inputs, known by a hash, which is the owner of their folder (see `own_folders`);
+they are removed when others are found, when a run starts without `--resume`, and when it ends well. Where something else has the
+folder's name, the run goes on without checkpoints; a link there is removed.
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ import torch
 from dante_w import __version__
 from dante_w.contract.scene_folder import Scene
 from dante_w.options import RecoverOptions
-from dante_w.run.result_folder import CHECKPOINTS
+from dante_w.run.own_folders import is_file, is_folder, make, owner, remove
+from dante_w.run.result_folder import CHECKPOINTS, remove_checkpoints
 from dante_w.scene.mesh import Mesh
 
 T = TypeVar("T")
 #: Work that takes less than this is done again rather than kept.
 SECONDS = 20.0
-_KEY, _TREE = "inputs.txt", "tree.json"
+_TREE = "tree.json"
 #: Options that change nothing of what is worked out.
 _NO_INPUT = ("out", "resume", "format", "known")
 
@@ -62,11 +64,21 @@ class Checkpoints:
     def load(self, name: str, kind: type[T]) -> T | None:
         """What was kept under `name`; None if nothing was, or nothing of use."""
         folder = self.folder / name
+        if owner(self.folder) != self.key or not is_folder(folder):
+            return None
+
+        def file(file_name: str) -> Path:
+            """A file of the checkpoint itself; raises ValueError."""
+            path = folder / file_name
+            if path.parent != folder or not is_file(path):
+                raise ValueError(f"{path} is no file of the checkpoint")
+            return path
+
         try:
-            tree = json.loads((folder / _TREE).read_text(encoding="utf-8"))
-            large = sum(file.stat().st_size for file in folder.iterdir())
+            tree = json.loads(file(_TREE).read_text(encoding="utf-8"))
+            large = sum(path.lstat().st_size for path in folder.iterdir())
             mode: Any = "r" if large > psutil.virtual_memory().available / 3 else None
-            found: T = _unpacked(kind, tree, lambda file: np.load(folder / file, mode, allow_pickle=False))
+            found: T = _unpacked(kind, tree, lambda array: np.load(file(array), mode, allow_pickle=False))
         except (OSError, ValueError, KeyError, TypeError, EOFError):
             return None
         self.resumed.append(name)
@@ -79,30 +91,33 @@ class Checkpoints:
             return
         arrays: list[np.ndarray] = []
         tree = _packed(value, arrays)
-        partial, whole = self.folder / f"{name}.partial", self.folder / name
         with contextlib.suppress(OSError):  # without it the run goes on just as well
             if shutil.disk_usage(self.folder.parent).free > 2 * sum(array.nbytes for array in arrays):
-                self.folder.mkdir(exist_ok=True)
-                (self.folder / _KEY).write_text(self.key)
-                partial.mkdir()
-                for number, array in enumerate(arrays):
-                    np.save(partial / f"{number}.npy", array, allow_pickle=False)
-                (partial / _TREE).write_text(json.dumps(tree), encoding="utf-8")
-                shutil.rmtree(whole, ignore_errors=True)
-                os.replace(partial, whole)
-        shutil.rmtree(partial, ignore_errors=True)
+                self._write(name, tree, arrays)
         self.since = time.monotonic()
+
+    def _write(self, name: str, tree: Any, arrays: list[np.ndarray]) -> None:
+        if owner(self.folder) != self.key:
+            make(self.folder, self.key)
+        partial, whole = self.folder / f"{name}.partial", self.folder / name
+        try:
+            remove(partial)
+            partial.mkdir()
+            for number, array in enumerate(arrays):
+                np.save(partial / f"{number}.npy", array, allow_pickle=False)
+            (partial / _TREE).write_text(json.dumps(tree), encoding="utf-8")
+            remove(whole)
+            os.replace(partial, whole)
+        finally:
+            remove(partial)
 
 
 def open_checkpoints(options: RecoverOptions, scene: Scene, mesh: Mesh) -> Checkpoints:
     """The checkpoints of a run with these options, from these files; none yet unless it resumes one just like it."""
     assert options.out is not None  # a plan alone keeps nothing
-    folder = options.out / CHECKPOINTS
-    key = _key(options, scene, mesh)
-    found = (folder / _KEY).read_bytes() if (folder / _KEY).is_file() else b""
-    old = folder.glob("*.partial") if options.resume and found == key.encode() else [folder]
-    for each in old:
-        shutil.rmtree(each, ignore_errors=True)
+    folder, key = options.out / CHECKPOINTS, _key(options, scene, mesh)
+    if not options.resume or owner(folder) != key:
+        remove_checkpoints(options.out)
     return Checkpoints(folder, key)
 
 

@@ -2,8 +2,10 @@
 
 A folder without a report is not a whole result. A process may be killed at any moment: before the staging folder gets
 its second name the former result stands untouched, from then on the new one does, and whoever comes next, another run or
-the process that started this one, finishes what was begun. The staging folder's name says who fills it: what a living process
-has begun, nobody else touches.
+the process that started this one, finishes the move. The staging folder's name and its marker say who fills it: nobody else
+touches the folder of a living process. Nothing without such a marker is touched, whatever its name, see `own_folders`; but
+links by these names are removed, themselves alone. A result is exactly its files: those of the former one that
+the new one does not have are removed. The result folder itself may be a link, for the user named it.
 """
 
 from __future__ import annotations
@@ -12,36 +14,41 @@ import contextlib
 import errno
 import os
 import re
-import shutil
-import tempfile
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
 from dante_w.contract.errors import BadInput
+from dante_w.run.own_folders import is_file, is_folder, is_link, make, owner, remove, remove_own
+from dante_w.run.result_files import REPORT, names_in, names_written, refuse_foreign
 
-REPORT = "report.json"
 #: Folder in a result folder, see `checkpoints`.
 CHECKPOINTS = ".resume"
 #: The staging folder while it is filled, once it holds a whole result, and while it is removed. Its owner follows in the name.
 _STAGING, _WHOLE, _DOOMED = ".partial", ".whole", ".doomed"
-#: The owner: the number of a process, and when it began in seconds; the system gives the numbers of dead ones out again.
-_OWNER = re.compile(r"-(\d+)-(\d+)|")
-#: A process is told that began so near to that; the system's clock may be set meanwhile.
+#: Their names; the owner is the number of a process, and when it began in seconds: the system gives the numbers of dead ones
+#: out again. Without an owner, only links are of interest.
+_NAME = re.compile(r"(\.partial|\.whole|\.doomed)(?:-((\d+)-(\d+)))?")
+#: Seconds that the start of a process may seem to be off; the system's clock may be set meanwhile.
 _SAME_START = 5.0
-_SCRATCH = "dante-w-"
+#: The former result's report in a whole one, while that is put into place.
+_FORMER = "former.json"
 
 
-def stage(out: Path) -> Path:
-    """Make `out` and an empty staging folder in it; returns that. What a killed process left is put right first.
+def stage(out: Path, names: Iterable[str]) -> Path:
+    """Make `out` and a staging folder in it for files of these `names`; returns that. What a killed process left is put right
+    first.
 
     Raises:
-        BadInput: `out` cannot be written to, or another run is at work in it.
+        BadInput: `out` cannot be written to, another run is at work in it, or one of the names is taken by something
+            that no earlier run wrote.
     """
-    staging = out / (_STAGING + _own())
+    staging = out / f"{_STAGING}-{_own_token()}"
     try:
         _settle(out)
         _refuse_beside_another(out)
-        staging.mkdir(parents=True)
+        refuse_foreign(out, names, names_written(out / REPORT))
+        make(staging, _own_token())
         _refuse_beside_another(out)  # of two that come here in the same instant none goes on
     except OSError as error:
         if is_full(error):
@@ -50,63 +57,44 @@ def stage(out: Path) -> Path:
     return staging
 
 
-def scratch() -> Path:
-    """A new folder for a run that leaves nothing behind; those of processes that were killed are removed.
-
-    Raises:
-        BadInput: no temporary folder can be written to.
-    """
-    import psutil
-
-    try:
-        for old in Path(tempfile.gettempdir()).glob(f"{_SCRATCH}*-*"):
-            owner = old.name.removeprefix(_SCRATCH).partition("-")[0]
-            if owner.isdecimal() and not psutil.pid_exists(int(owner)):
-                shutil.rmtree(old, ignore_errors=True)
-        return Path(tempfile.mkdtemp(prefix=f"{_SCRATCH}{os.getpid()}-"))
-    except OSError as error:
-        if is_full(error):
-            raise
-        raise BadInput(
-            f"{error.filename}: no temporary folder can be written ({error.strerror}); set TMPDIR to one that can."
-        ) from error
-
-
-def discard(process: int) -> None:
-    """Remove the scratch folders of a process; never raises."""
-    with contextlib.suppress(OSError):
-        for folder in Path(tempfile.gettempdir()).glob(f"{_SCRATCH}{process}-*"):
-            shutil.rmtree(folder, ignore_errors=True)
-
-
 def publish(out: Path) -> None:
     """Rename what was staged into place and remove the rest.
 
     Raises:
-        BadInput: a folder is in a file's place, or a file cannot be replaced.
+        BadInput: something that no earlier run wrote is in a file's place, or a file cannot be replaced.
     """
-    staging, whole = out / (_STAGING + _own()), out / (_WHOLE + _own())
+    staging, whole = (out / f"{kind}-{_own_token()}" for kind in (_STAGING, _WHOLE))
     for path in list(staging.iterdir()):
-        if path.is_dir():
-            shutil.rmtree(path)  # the ray cache, where that went to disk
-        elif (out / path.name).is_dir():
-            raise BadInput(f"{out / path.name}: is a folder, where a file belongs; rename it.")
-    os.rename(staging, whole)  # from here on the new result stands
+        if is_folder(path):
+            remove(path)  # the ray cache, where that went to disk
+    refuse_foreign(out, names_in(staging), names_written(out / REPORT))
     try:
+        os.rename(staging, whole)  # from here on the new result stands
         _put_in_place(whole, out)
-        shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
     except OSError as error:
+        if is_full(error):
+            raise
         raise BadInput(
             f"{error.filename}: cannot be replaced ({error.strerror}); close what uses it and run again."
         ) from error
+    remove_checkpoints(out)
 
 
 def abandon(out: Path) -> None:
     """Remove the staging folder, and `out` if that leaves it empty, but nothing of another run at work; never raises."""
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, BadInput):
         _settle(out)
     with contextlib.suppress(OSError):
         out.rmdir()
+
+
+def remove_checkpoints(out: Path) -> None:
+    """Remove the checkpoints in `out`, or a link in their place; a folder that no run made stays."""
+    folder = out / CHECKPOINTS
+    if is_link(folder):
+        remove(folder)
+    else:
+        remove_own(folder, owner(folder) or "")
 
 
 def is_full(error: BaseException) -> bool:
@@ -115,59 +103,84 @@ def is_full(error: BaseException) -> bool:
 
 
 def _settle(out: Path) -> None:
-    """Finish or undo what was begun in `out`, by this process or by one that is dead."""
-    for whole in _begun(out, _WHOLE):
-        _put_in_place(whole, out)
-    for staging in _begun(out, _STAGING):
-        with contextlib.suppress(OSError):  # a thread that still writes there finds no folder any more
-            os.rename(staging, out / staging.name.replace(_STAGING, _DOOMED))
-    for left in (*_begun(out, _DOOMED), *_begun(out, _STAGING)):
-        shutil.rmtree(left, ignore_errors=True)
+    """Finish or undo the moves of this process and of dead ones in `out`.
+
+    Raises:
+        BadInput: a result cannot be finished, see `publish`.
+    """
+    for path in _reserved(out):
+        if is_link(path):
+            remove(path)
+    for whole, token in _folders(out, _WHOLE):
+        if owner(whole) == token:
+            _put_in_place(whole, out)
+    for staging, token in _folders(out, _STAGING):
+        if owner(staging) == token:
+            with contextlib.suppress(OSError):  # a thread that still writes there finds no folder any more
+                os.rename(staging, out / f"{_DOOMED}-{token}")
+    for kind in (_DOOMED, _STAGING, _WHOLE):
+        for folder, token in _folders(out, kind):
+            remove_own(folder, token)
 
 
 def _refuse_beside_another(out: Path) -> None:
     for kind in (_STAGING, _WHOLE):
-        for folder in _begun(out, kind, by_others=True):
+        for _, token in _folders(out, kind, others=True):
             raise BadInput(
-                f"{out}: another run (process {folder.name.split('-')[1]}) is at work here; "
+                f"{out}: another run (process {token.partition('-')[0]}) is at work here; "
                 "wait for it or choose another --out."
             )
 
 
-def _begun(out: Path, kind: str, by_others: bool = False) -> list[Path]:
-    """The folders of a kind in `out` that living other processes own, or the rest."""
-    found = []
-    for path in sorted(out.glob(f"{kind}*")):
-        owner = _OWNER.fullmatch(path.name.removeprefix(kind))
-        if owner and by_others == (owner[1] is not None and _is_another(int(owner[1]), int(owner[2]))):
-            found.append(path)
-    return found
+def _reserved(out: Path) -> list[Path]:
+    """What has a name that a staging folder can have, in `out`."""
+    try:
+        return sorted(path for path in out.iterdir() if _NAME.fullmatch(path.name))
+    except FileNotFoundError:
+        return []
+
+
+def _folders(out: Path, kind: str, others: bool = False) -> Iterator[tuple[Path, str]]:
+    """The folders of a kind in `out` that other living processes own by their name, or the rest; each with its owner's token."""
+    for path in _reserved(out):
+        name = _NAME.fullmatch(path.name)
+        if not name or name[1] != kind or not name[2] or not is_folder(path):
+            continue
+        if _is_another(int(name[3]), int(name[4])) == others:
+            yield path, name[2]
 
 
 @cache
-def _own() -> str:
+def _own_token() -> str:
     """What this process puts behind the names of its folders."""
     import psutil
 
-    return f"-{os.getpid()}-{int(psutil.Process().create_time())}"
+    return f"{os.getpid()}-{int(psutil.Process().create_time())}"
 
 
-def _is_another(process: int, began: int) -> bool:
+def _is_another(process: int, start: int) -> bool:
     """Whether a process is not this one and still the one that began then."""
     import psutil
 
     try:
-        found = psutil.Process(process)
-        same = abs(found.create_time() - began) < _SAME_START
-        return process != os.getpid() and same and found.status() != psutil.STATUS_ZOMBIE
+        other = psutil.Process(process)
+        same = abs(other.create_time() - start) < _SAME_START
+        return process != os.getpid() and same and other.status() != psutil.STATUS_ZOMBIE
     except (psutil.Error, OverflowError):
         return False
 
 
 def _put_in_place(whole: Path, out: Path) -> None:
-    names = sorted(path.name for path in whole.iterdir())
+    """Move the files of a whole result into `out`, and remove those of the former one that it does not have."""
+    names = names_in(whole)
     if REPORT in names:  # else it is in place already, and so is all else
-        (out / REPORT).unlink(missing_ok=True)  # from here to the last rename the folder is not whole
-    for name in sorted(names, key=lambda name: name == REPORT):
-        os.replace(whole / name, out / name)
-    whole.rmdir()
+        former = names_written(out / REPORT) or names_written(whole / _FORMER)
+        refuse_foreign(out, names, former)
+        if is_file(out / REPORT):
+            os.replace(out / REPORT, whole / _FORMER)  # from here to the last rename the folder is not whole
+        for name in former:
+            if name not in names_written(whole / REPORT) and is_file(out / name):
+                os.unlink(out / name)
+        for name in names:
+            os.replace(whole / name, out / name)
+    remove(whole)
