@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -145,6 +149,32 @@ def test_any_number_of_threads_gives_the_same_bytes(spec, monkeypatch):
                 step.update(1.0)
         results.append((losses, [parameter.detach().numpy().tobytes() for parameter in model.parameters()]))
     assert all(result == results[0] for result in results)
+
+
+#: Prints a hash of loss and gradients.
+ONE_STEP = """
+import hashlib, sys
+sys.path.insert(0, sys.argv[1])
+from test_fused import SPECS, TERMS, FusedStep, all_of, some_model, some_samples
+
+model = some_model(SPECS["hash"])
+step = FusedStep(model, TERMS["no priors"], all_of(model), 1e-2)
+loss, gradients = step.gradients(some_samples(5000, prior=False))
+print(hashlib.sha256(b"".join([repr(loss).encode(), *(g.tobytes() for g in gradients.values())])).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_kernels_just_compiled_and_kept_ones_give_the_same_bytes(tmp_path):
+    """They did not while kernels called their helpers: the cached code of a kernel has a body of its own of each helper."""
+    command = [sys.executable, "-c", ONE_STEP, str(Path(__file__).parent)]
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    first, second = (
+        subprocess.run(command, env=environment, capture_output=True, check=True, text=True).stdout
+        for _ in range(2)
+    )
+    assert any(tmp_path.rglob("*.nbc"))
+    assert first == second
 
 
 @pytest.mark.parametrize("spec", SPECS.values(), ids=SPECS.keys())

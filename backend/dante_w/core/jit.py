@@ -43,7 +43,20 @@ def njit_fast(function: Callable[..., Any]) -> Any:
 
     Such functions may call each other across the files of a folder: cached code is used while none of these changed.
     """
-    options: dict[str, Any] = {"nogil": True, **_FAST}
+    return _fast(function)
+
+
+def njit_inlined(function: Callable[..., Any]) -> Any:
+    """The same, for helpers of such functions: their code is always put into each caller.
+
+    Otherwise a helper has two compiled bodies, its own and one in the caller's cached code, which may differ in the last bit.
+    Which one runs would depend on whether this process compiled them or loaded them from the cache.
+    """
+    return _fast(function, forceinline=True)
+
+
+def _fast(function: Callable[..., Any], **options: Any) -> Any:
+    options = {"nogil": True, **_FAST, **options}
     try:
         compiled = numba.njit(cache=True, **options)(function)
     except RuntimeError:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dante_w.core.jit import njit_fast
+from dante_w.core.jit import njit_fast, njit_inlined
 
 BETA_1, BETA_2, EPSILON = np.float32(0.9), np.float32(0.999), np.float32(1e-15)
 #: Numbers that are passed over together when no sample touched them: two cache lines.
@@ -38,7 +38,7 @@ def adam(value, mean, square, gradient, rate, root):  # type: ignore[no-untyped-
         _move(value, mean, square, gradient, rate, root, i)
 
 
-@njit_fast
+@njit_inlined
 def _move(value, mean, square, gradient, rate, root, i):  # type: ignore[no-untyped-def]
     g, m, v = gradient[i], mean[i], square[i]
     touched = g != _ZERO

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dante_w.core.jit import njit_fast
+from dante_w.core.jit import njit_fast, njit_inlined
 from dante_w.field.cpu.kernels import BLOCK
 from dante_w.field.cpu.kernels.decoder import OUTPUTS, decode, decode_backward
 from dante_w.field.cpu.kernels.grid import encode, load
@@ -132,7 +132,7 @@ def gradients(  # type: ignore[no-untyped-def]
     return loss
 
 
-@njit_fast
+@njit_inlined
 def _fetch(values, photo, block):  # type: ignore[no-untyped-def]
     """What belongs to the photos, `values` (K, W), of each sample: into `block` (W, BLOCK)."""
     for w in range(len(block)):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dante_w.core.jit import njit_fast
+from dante_w.core.jit import njit_inlined
 from dante_w.field.cpu.kernels import BLOCK
 
 _ZERO = np.float32(0.0)
@@ -30,7 +30,7 @@ class Decoder(NamedTuple):
     b2: np.ndarray
 
 
-@njit_fast
+@njit_inlined
 def decode(decoder, x, hidden, out):  # type: ignore[no-untyped-def]
     """Decode x (K, BLOCK) into `hidden` (H, BLOCK) and `out` (OUTPUTS, BLOCK)."""
     _fill_rows(decoder.b1, hidden)
@@ -42,7 +42,7 @@ def decode(decoder, x, hidden, out):  # type: ignore[no-untyped-def]
     _add_product(decoder.w2, hidden.reshape(-1), out.reshape(-1))
 
 
-@njit_fast
+@njit_inlined
 def decode_backward(decoder, x, hidden, upstream, d_hidden, d_x, gradient):  # type: ignore[no-untyped-def]
     """Gradients of `decode`, given `upstream` (OUTPUTS, BLOCK): adds to `gradient`, writes `d_x` (K, BLOCK).
 
@@ -61,7 +61,7 @@ def decode_backward(decoder, x, hidden, upstream, d_hidden, d_x, gradient):  # t
     _add_product(decoder.w1.T, d_hidden.reshape(-1), d_x.reshape(-1))
 
 
-@njit_fast
+@njit_inlined
 def _fill_rows(b, out):  # type: ignore[no-untyped-def]
     """out[h] = b[h]: (H,) to (H, BLOCK)."""
     for h in range(len(b)):
@@ -69,7 +69,7 @@ def _fill_rows(b, out):  # type: ignore[no-untyped-def]
             out[h, s] = b[h]
 
 
-@njit_fast
+@njit_inlined
 def _add_sums(y, bias):  # type: ignore[no-untyped-def]
     """bias += sum of y (H, BLOCK) over samples."""
     for h in range(len(y)):
@@ -79,7 +79,7 @@ def _add_sums(y, bias):  # type: ignore[no-untyped-def]
         bias[h] += total
 
 
-@njit_fast
+@njit_inlined
 def _add_product(w, x, out):  # type: ignore[no-untyped-def]
     """out += w x: (H, K) and flat (K BLOCK,) to flat (H BLOCK,)."""
     height, inner = w.shape
@@ -107,7 +107,7 @@ def _add_product(w, x, out):  # type: ignore[no-untyped-def]
                 out[h * BLOCK + s] += w[h, k] * x[k * BLOCK + s]
 
 
-@njit_fast
+@njit_inlined
 def _add_outer(y, x, gradient):  # type: ignore[no-untyped-def]
     """gradient += y x^T: flat (H BLOCK,) and (K BLOCK,) into (H, K)."""
     height, inner = gradient.shape

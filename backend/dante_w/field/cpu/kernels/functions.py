@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from dante_w.core import color
-from dante_w.core.jit import njit_fast
+from dante_w.core.jit import njit_inlined
 
 _F = np.float32
 _LOG2_E, _LN_2 = _F(np.log2(np.e)), _F(np.log(2.0))
@@ -25,7 +25,7 @@ _SLOPE, _GAIN, _SHIFT, _POWER = _F(12.92), _F(1.055), _F(0.055), _F(1.0 / 2.4)
 _LINEAR_END, _ENCODED_END = _F(color.LINEAR_END), _F(color.ENCODED_END)
 
 
-@njit_fast
+@njit_inlined
 def exp2(x):  # type: ignore[no-untyped-def]
     """2^x, held to what normal float32 numbers can be: 2^-126 to 2^127."""
     x = min(max(x, _LEAST), _MOST)
@@ -35,7 +35,7 @@ def exp2(x):  # type: ignore[no-untyped-def]
     return series * np.int32((np.int32(whole) + np.int32(127)) << np.int32(23)).view(np.float32)
 
 
-@njit_fast
+@njit_inlined
 def log2(x):  # type: ignore[no-untyped-def]
     """log2(x); what is below 2^-126 counts as that."""
     bits = _F(max(x, _TINY)).view(np.int32)
@@ -48,22 +48,22 @@ def log2(x):  # type: ignore[no-untyped-def]
     return _F(power) + _TWO * _LOG2_E * series
 
 
-@njit_fast
+@njit_inlined
 def exp(x):  # type: ignore[no-untyped-def]
     return exp2(x * _LOG2_E)
 
 
-@njit_fast
+@njit_inlined
 def log(x):  # type: ignore[no-untyped-def]
     return log2(x) * _LN_2
 
 
-@njit_fast
+@njit_inlined
 def sigmoid(x):  # type: ignore[no-untyped-def]
     return _ONE / (_ONE + exp(-x))
 
 
-@njit_fast
+@njit_inlined
 def softplus(x):  # type: ignore[no-untyped-def]
     """log(1 + e^x) = max(x, 0) + log(1 + y), y = e^-|x| in (0, 1]; its logarithm is 2 artanh(y / (2 + y))."""
     y = exp(-abs(x))
@@ -73,7 +73,7 @@ def softplus(x):  # type: ignore[no-untyped-def]
     return max(x, _ZERO) + _TWO * t * (_ONE + q * (_THIRD + q * (_FIFTH + q * tail)))
 
 
-@njit_fast
+@njit_inlined
 def srgb_from_linear(linear):  # type: ignore[no-untyped-def]
     """(encoded value, slope there) as `color.srgb_from_linear`."""
     bright = max(linear, _LINEAR_END)
@@ -84,7 +84,7 @@ def srgb_from_linear(linear):  # type: ignore[no-untyped-def]
     return value, slope
 
 
-@njit_fast
+@njit_inlined
 def linear_from_srgb(encoded):  # type: ignore[no-untyped-def]
     """As `color.linear_from_srgb`."""
     curved = exp2(_F(2.4) * log2((max(encoded, _ENCODED_END) + _SHIFT) / _GAIN))

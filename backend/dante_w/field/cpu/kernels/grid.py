@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dante_w.core.jit import njit_fast
+from dante_w.core.jit import njit_fast, njit_inlined
 from dante_w.field.cpu.kernels import BLOCK
 
 _ONE = np.float32(1.0)
@@ -26,7 +26,7 @@ class Grid(NamedTuple):
     offsets: np.ndarray
 
 
-@njit_fast
+@njit_inlined
 def corners(points, resolution, entries, entry, weight):  # type: ignore[no-untyped-def]
     """The corners of the cells that points lie in.
 
@@ -40,7 +40,7 @@ def corners(points, resolution, entries, entry, weight):  # type: ignore[no-unty
         _corners_3d(points, resolution, entries, entry, weight)
 
 
-@njit_fast
+@njit_inlined
 def _corners_2d(points, resolution, entries, entry, weight):  # type: ignore[no-untyped-def]
     side = np.int32(resolution + _ONE)
     dense = np.int64(side) * np.int64(side) <= entries
@@ -63,7 +63,7 @@ def _corners_2d(points, resolution, entries, entry, weight):  # type: ignore[no-
             entry[2, s], entry[3, s] = (x0 ^ hy1) & mask, (x1 ^ hy1) & mask
 
 
-@njit_fast
+@njit_inlined
 def _corners_3d(points, resolution, entries, entry, weight):  # type: ignore[no-untyped-def]
     side = np.int32(resolution + _ONE)
     dense = np.int64(side) * np.int64(side) * np.int64(side) <= entries
@@ -104,7 +104,7 @@ def _corners_3d(points, resolution, entries, entry, weight):  # type: ignore[no-
         entry[6, s], entry[7, s] = (x0 ^ y1 ^ z1) & mask, (x1 ^ y1 ^ z1) & mask
 
 
-@njit_fast
+@njit_inlined
 def _cell(coordinate, resolution, side):  # type: ignore[no-untyped-def]
     """The cell that a coordinate in [0, 1] lies in, along one axis, and how far into it; the far edge belongs to the last."""
     scaled = min(coordinate * resolution, np.float32(side - 1))
@@ -112,7 +112,7 @@ def _cell(coordinate, resolution, side):  # type: ignore[no-untyped-def]
     return cell, scaled - np.float32(cell)
 
 
-@njit_fast
+@njit_inlined
 def encode(grid, points, entry, weight, encoded):  # type: ignore[no-untyped-def]
     """Encode points (D, BLOCK) into `encoded` (L F, BLOCK); `entry` and `weight` are scratch, see `corners`."""
     features = grid.tables.shape[1]
@@ -133,7 +133,7 @@ def encode(grid, points, entry, weight, encoded):  # type: ignore[no-untyped-def
                         rows[f, s] += weight[c, s] * table[entry[c, s], f]
 
 
-@njit_fast
+@njit_inlined
 def _sum_4(table, entry, weight, row_0, row_1):  # type: ignore[no-untyped-def]
     """What four corners add up to, for two features: (BLOCK,) each, to write."""
     for s in range(BLOCK):
@@ -143,7 +143,7 @@ def _sum_4(table, entry, weight, row_0, row_1):  # type: ignore[no-untyped-def]
         row_1[s] = w0 * table[e0, 1] + w1 * table[e1, 1] + w2 * table[e2, 1] + w3 * table[e3, 1]
 
 
-@njit_fast
+@njit_inlined
 def _sum_8(table, entry, weight, row_0, row_1):  # type: ignore[no-untyped-def]
     """The same for eight corners."""
     for s in range(BLOCK):
@@ -189,7 +189,7 @@ def scatter(points, resolution, rows, first_row, gradient):  # type: ignore[no-u
                         gradient[e, f] += w * own[f, s]
 
 
-@njit_fast
+@njit_inlined
 def load(points, first, block):  # type: ignore[no-untyped-def]
     """Points (N, D) from `first` on into `block` (D, BLOCK), into [0, 1]; NaN and what is past the end become 0."""
     for d in range(len(block)):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dante_w.core.jit import njit_fast
+from dante_w.core.jit import njit_inlined
 from dante_w.field.cpu.kernels import BLOCK
 from dante_w.field.cpu.kernels.functions import linear_from_srgb, log, sigmoid, softplus, srgb_from_linear
 
@@ -37,7 +37,7 @@ class Shown(NamedTuple):
     weight: np.ndarray
 
 
-@njit_fast
+@njit_inlined
 def loss_backward(albedo, light, shown, weights, log_light, d_exposure, d_offset):  # type: ignore[no-untyped-def]
     """Loss of a block, from what comes before sigmoid and softplus.
 
@@ -91,7 +91,7 @@ def loss_backward(albedo, light, shown, weights, log_light, d_exposure, d_offset
     return total
 
 
-@njit_fast
+@njit_inlined
 def _magnitude(x):  # type: ignore[no-untyped-def]
     """|x| and its slope; both 0 where x is not a number."""
     sign = _ONE if x > _ZERO else (-_ONE if x < _ZERO else _ZERO)
