@@ -19,6 +19,7 @@ from dante_w.commands.plan_report import texture_side
 from dante_w.contract.errors import BadInput
 from dante_w.contract.known_colour import KnownColour
 from dante_w.contract.protocol import Decision, Planned
+from dante_w.contract.report import COVERAGE, MESH, REPORT, albedo_file
 from dante_w.contract.scene_folder import Frame, Scene
 from dante_w.estimate.expectation import Expectation, Work, predict, since_start
 from dante_w.estimate.memory import cache_bytes, resident, room
@@ -31,7 +32,7 @@ from dante_w.rays.scene3d import Scene3D
 from dante_w.run.checkpoints import Checkpoints
 from dante_w.run.device import peak_memory
 from dante_w.run.progress import Progress
-from dante_w.run.result_files import REPORT, names_in, refuse_inputs
+from dante_w.run.result_files import names_in, refuse_inputs
 from dante_w.scene.images import write_exr, write_png
 from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import Mesh, write_obj
@@ -65,7 +66,7 @@ def prepare(
     progress.update("scene", 1, 1)
     if options.unwrap:
         mesh = unwrap(mesh, lambda done: progress.update("unwrap", done, 1.0), size)
-        write_obj(staging / "mesh.obj", mesh)
+        write_obj(staging / MESH, mesh)
         check_uvs(mesh.uvs, name)
         assert mesh.uvs is not None
         scene3d = scene3d.with_uvs(mesh.uvs)
@@ -198,10 +199,10 @@ def bake_files(
     seen = bake(texels, mesh.uvs, coverage, out, marks, lambda done: progress.update("bake", done, 1.0))
     progress.update("write", 0, 1)
     if kind == "exr":
-        write_exr(staging / "albedo.exr", out)
+        write_exr(staging / albedo_file(kind), out)
     else:
-        write_png(staging / "albedo.png", out)
-    write_png(staging / "coverage.png", marks)
+        write_png(staging / albedo_file(kind), out)
+    write_png(staging / COVERAGE, marks)
     del out, marks
     for name in files:
         (staging / name).unlink()

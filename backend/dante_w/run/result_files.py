@@ -13,17 +13,16 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from dante_w.contract.errors import BadInput
+from dante_w.contract.report import COVERAGE, MESH, REPORT, albedo_file
 from dante_w.run.own_folders import is_file
 
-REPORT = "report.json"
 #: Every file that a result can have, the report last.
-FILES = ("albedo.png", "albedo.exr", "coverage.png", "mesh.obj", REPORT)
+FILES = (albedo_file("png"), albedo_file("exr"), COVERAGE, MESH, REPORT)
 
 
 def names_to_write(file_format: str, unwrap: bool) -> tuple[str, ...]:
     """The files of a result in this format, with a mesh of its own or not."""
-    albedo = "albedo.exr" if file_format == "exr" else "albedo.png"
-    return (albedo, "coverage.png", *(["mesh.obj"] if unwrap else []), REPORT)
+    return (albedo_file(file_format), COVERAGE, *([MESH] if unwrap else []), REPORT)
 
 
 def names_in(folder: Path) -> list[str]:
@@ -47,7 +46,7 @@ def names_written(report: Path) -> list[str]:
     names, settings = content.get("files"), content.get("settings")
     if not isinstance(names, list):
         unwrapped = isinstance(settings, dict) and settings.get("unwrap") is True
-        names = [name for name in FILES if name != "mesh.obj" or unwrapped]
+        names = [name for name in FILES if name != MESH or unwrapped]
     return [name for name in FILES if name in names]
 
 

@@ -19,8 +19,9 @@ from functools import cache
 from pathlib import Path
 
 from dante_w.contract.errors import BadInput
+from dante_w.contract.report import REPORT
 from dante_w.run.own_folders import is_file, is_folder, is_link, make, owner, remove, remove_own
-from dante_w.run.result_files import REPORT, names_in, names_written, refuse_foreign
+from dante_w.run.result_files import names_in, names_written, refuse_foreign
 
 #: Folder in a result folder, see `checkpoints`.
 CHECKPOINTS = ".resume"
