@@ -16,6 +16,7 @@ sys.path[:0] = [str(ROOT), str(HERE)]
 import dante_w_addon  # noqa: E402
 from dante_w_addon import layout  # noqa: E402
 from dante_w_addon.bridge import job  # noqa: E402
+from dante_w_addon.operators import relight  # noqa: E402
 
 
 @pytest.fixture(autouse=True)
@@ -32,6 +33,15 @@ def addon():
     dante_w_addon.register()
     yield dante_w_addon
     dante_w_addon.unregister()
+
+
+@pytest.fixture
+def no_temporary_files():
+    """Whatever the test does with previews, Blender's temporary folder is afterwards as it was."""
+    before = os.listdir(bpy.app.tempdir)
+    yield
+    relight.stop()
+    assert os.listdir(bpy.app.tempdir) == before
 
 
 @pytest.fixture

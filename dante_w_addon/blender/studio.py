@@ -1,29 +1,25 @@
-"""Cycles previews of a scene under an HDRI.
+"""Cycles previews of a scene under HDRIs, rendered by a Blender of their own from a copy of the scene.
 
-They are rendered in a scene of their own that borrows the user's objects, without the lamps, and is removed
-afterwards. So there are no render settings or world to restore, whatever happens.
+So undo, saving, deleting and loading meanwhile cannot meet a render, and nothing of it comes into the user's file. The
+user's Blender calls `write_copy`. The other one runs this file as a script, with the folder of the copy as its argument:
+it writes 0.png, 1.png, ... there and says so, one JSON object a line. Hence no imports from the add-on.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
-import shutil
-import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import json
+import os
+import sys
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-import blf
 import bpy
-import imbuf
 import numpy as np
 
-from . import hdris
-
 LEFT_OUT = {"LIGHT", "CAMERA", "LIGHT_PROBE", "SPEAKER"}
-BORROWED = "dante_w_borrowed"  # custom property of a scene made here
-GAP = 4  # pixels between the tiles of a contact sheet
+SCENE, JOB = "scene.blend", "job.json"  # in the folder of a copy
 
 
 @dataclass(frozen=True)
@@ -46,93 +42,146 @@ def can_denoise() -> bool:
         return False
 
 
-class Studio:
-    """The borrowed scene. Use as a context manager, or `close` it.
+def reason(error: Exception) -> str:
+    """What went wrong, in one line."""
+    if isinstance(error, OSError) and error.strerror:
+        return ": ".join(str(part) for part in (error.strerror, error.filename) if part)
+    said = str(error).strip().splitlines() or [type(error).__name__]
+    return said[-1].removeprefix("Error: ")
 
-    Example:
-        with Studio(bpy.context, Look()) as studio:
-            picture = studio.still(hdris.presets()["forest"], Path("forest.png"))
+
+# ---- the user's Blender ----------------------------------------------------------------------------------
+
+
+def write_copy(context: bpy.types.Context, folder: Path, lights: list[Path], look: Look) -> None:
+    """Write the scene as it is now, saved or not, and how to render it under each of `lights`, into `folder`.
+
+    The scene is written like an asset, with all that it uses: that calls no save handlers, packs nothing and leaves
+    the user's file and its "unsaved" mark alone, as saving a copy would not.
+
+    Raises:
+        OSError, RuntimeError: the copy cannot be written.
     """
-
-    def __init__(self, context: bpy.types.Context, look: Look) -> None:
-        user = context.scene
-        self._look = look
-        _remove_leftovers()
-        self.scene = bpy.data.scenes.new("DANTE-W relight")
-        self.scene[BORROWED] = True
-        self.world = bpy.data.worlds.new("DANTE-W relight")
-        self.scene.world = self.world
-        self.scene.camera = user.camera
-        self.scene.frame_current = user.frame_current
-        for obj in context.view_layer.objects:
-            if obj.type not in LEFT_OUT and not obj.hide_render and obj.visible_get():
-                self.scene.collection.objects.link(obj)
-        self.scene.collection.objects.link(user.camera)
-        self._render_settings(user)
-        self._mapping, self._environment, self._background = _world_nodes(self.world)
-
-    def __enter__(self) -> Studio:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Remove the borrowed scene and what was made for it."""
-        with contextlib.suppress(ReferenceError):
-            image = self._environment.image
-            bpy.data.scenes.remove(self.scene)
-            bpy.data.worlds.remove(self.world)
-            if image is not None and image.users == 0:
-                bpy.data.images.remove(image)
-
-    def light(self, hdri: Path, target: Path) -> None:
-        """Set the HDRI, and where the picture goes."""
-        old = self._environment.image
-        self._environment.image = bpy.data.images.load(str(hdri), check_existing=False)
-        self._environment.image.colorspace_settings.name = "Linear Rec.709"
-        if old is not None:
-            bpy.data.images.remove(old)
-        self._mapping.inputs["Rotation"].default_value[2] = self._look.rotation
-        self._background.inputs["Strength"].default_value = self._look.strength
-        self.scene.render.filepath = str(target)
-
-    def still(self, hdri: Path, target: Path) -> Path:
-        """Render a PNG and wait for it."""
-        self.light(hdri, target)
-        bpy.ops.render.render(write_still=True, scene=self.scene.name)
-        return target
-
-    def _render_settings(self, user: bpy.types.Scene) -> None:
-        render, source = self.scene.render, user.render
-        render.engine = "CYCLES"
-        longer = max(source.resolution_x, source.resolution_y)
-        render.resolution_x = max(round(source.resolution_x * self._look.size / longer), 4)
-        render.resolution_y = max(round(source.resolution_y * self._look.size / longer), 4)
-        render.resolution_percentage = 100
-        render.pixel_aspect_x, render.pixel_aspect_y = source.pixel_aspect_x, source.pixel_aspect_y
-        render.image_settings.file_format = "PNG"
-        render.image_settings.color_mode = "RGB"
-        render.use_file_extension = False
-        for name in ("view_transform", "look", "exposure", "gamma"):
-            setattr(self.scene.view_settings, name, getattr(user.view_settings, name))
-        cycles = self.scene.cycles
-        cycles.device = user.cycles.device
-        cycles.samples = self._look.samples
-        cycles.use_adaptive_sampling = False
-        cycles.use_denoising = False
-        if can_denoise():
-            cycles.use_denoising = True
-            cycles.denoiser = "OPENIMAGEDENOISE"
+    bpy.ops.ed.flush_edits()  # what is being edited or sculpted
+    scene = context.scene
+    bpy.data.libraries.write(str(folder / SCENE), {scene}, path_remap="ABSOLUTE", compress=False)
+    job = {
+        "scene": scene.name,
+        "view_layer": context.view_layer.name,
+        "lights": [os.path.abspath(light) for light in lights],
+        "look": asdict(look),
+        "pixels": _write_pixels(folder),
+        "cycles": _cycles_preferences(),
+    }
+    (folder / JOB).write_text(json.dumps(job), encoding="utf-8")
 
 
-def _remove_leftovers() -> None:
-    """Undo can bring back a borrowed scene that was removed."""
-    for scene in [scene for scene in bpy.data.scenes if BORROWED in scene]:
-        bpy.data.scenes.remove(scene)
+def _write_pixels(folder: Path) -> dict[str, dict[str, Any]]:
+    """Write the pixels that images have in memory alone, painted or made by a script; returns name -> file and size.
+
+    Of images of many tiles Python reads the first alone: those are rendered as they were saved.
+    """
+    found = {}
+    for image in bpy.data.images:
+        if image.is_dirty and image.source in {"FILE", "GENERATED"} and image.library is None:
+            pixels = np.empty(len(image.pixels), np.float32)
+            image.pixels.foreach_get(pixels)
+            file = folder / f"{len(found)}.pixels"
+            pixels.tofile(file)
+            found[image.name] = {"file": file.name, "size": [*image.size], "float": image.is_float}
+    return found
 
 
-def _world_nodes(world: bpy.types.World) -> tuple[bpy.types.Node, bpy.types.Node, bpy.types.Node]:
+def _cycles_preferences() -> dict[str, Any]:
+    """The user's choice of devices, and the other settings of Cycles in the preferences."""
+    preferences = bpy.context.preferences.addons["cycles"].preferences
+    return {
+        "settings": {
+            entry.identifier: getattr(preferences, entry.identifier)
+            for entry in preferences.bl_rna.properties
+            if entry.type in {"BOOLEAN", "INT", "ENUM"} and not entry.is_readonly
+        },
+        "devices": {device.id: device.use for device in preferences.devices},
+    }
+
+
+# ---- the Blender that renders ------------------------------------------------------------------------------
+
+
+def main(folder: Path) -> int:
+    """Render what lies in `folder`; returns the exit code."""
+    try:
+        render_copy(folder)
+    except Exception as error:
+        say(stage="error", code=1, message=reason(error))
+        return 1
+    say(stage="done", out=str(folder))
+    return 0
+
+
+def say(**message: Any) -> None:
+    """Write a line for the user's Blender. The first newline ends a line of Cycles' that is written but in part."""
+    print("\n" + json.dumps(message), flush=True)
+
+
+def render_copy(folder: Path) -> None:
+    """Render the copy in `folder` under each of its lights, one after the other."""
+    job = json.loads((folder / JOB).read_text(encoding="utf-8"))
+    bpy.ops.wm.open_mainfile(filepath=str(folder / SCENE), load_ui=False, use_scripts=False)
+    _read_pixels(job["pixels"], folder)
+    user = bpy.data.scenes[job["scene"]]
+    if user.cycles.device != "CPU":
+        _use_devices(job["cycles"])
+    look, lights = Look(**job["look"]), job["lights"]
+    scene = studio_scene(user, user.view_layers[job["view_layer"]], look)
+    for index, light in enumerate(lights):
+        say(stage="relight", step=index, total=len(lights))
+        scene.world = lit_world(Path(light), look)
+        scene.render.filepath = str(folder / f"{index}.png")
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+    say(stage="relight", step=len(lights), total=len(lights))
+
+
+def studio_scene(user: bpy.types.Scene, layer: bpy.types.ViewLayer, look: Look) -> bpy.types.Scene:
+    """A scene with what the user sees, without the lamps, and with plain render settings."""
+    scene = bpy.data.scenes.new("Studio")
+    objects = [
+        obj
+        for obj in layer.objects
+        if obj.type not in LEFT_OUT and not obj.hide_render and obj.visible_get(view_layer=layer)
+    ]
+    for obj in dict.fromkeys([*objects, user.camera]):
+        scene.collection.objects.link(obj)
+    scene.camera = user.camera
+    scene.frame_current = user.frame_current
+    _render_settings(scene.render, user.render, look)
+    for name in ("view_transform", "look", "exposure", "gamma"):
+        setattr(scene.view_settings, name, getattr(user.view_settings, name))
+    cycles = scene.cycles
+    cycles.device = user.cycles.device
+    cycles.samples = look.samples
+    cycles.use_adaptive_sampling = False
+    cycles.use_denoising = can_denoise()
+    if cycles.use_denoising:
+        cycles.denoiser = "OPENIMAGEDENOISE"
+    return scene
+
+
+def _render_settings(render: Any, source: Any, look: Look) -> None:
+    render.engine = "CYCLES"
+    longer = max(source.resolution_x, source.resolution_y)
+    render.resolution_x = max(round(source.resolution_x * look.size / longer), 4)
+    render.resolution_y = max(round(source.resolution_y * look.size / longer), 4)
+    render.resolution_percentage = 100
+    render.pixel_aspect_x, render.pixel_aspect_y = source.pixel_aspect_x, source.pixel_aspect_y
+    render.image_settings.file_format = "PNG"
+    render.image_settings.color_mode = "RGB"
+    render.use_file_extension = False
+
+
+def lit_world(hdri: Path, look: Look) -> bpy.types.World:
+    """A world whose light is `hdri`."""
+    world = bpy.data.worlds.new("Studio")
     if bpy.app.version < (5, 0, 0):
         world.use_nodes = True
     tree = world.node_tree
@@ -145,98 +194,40 @@ def _world_nodes(world: bpy.types.World) -> tuple[bpy.types.Node, bpy.types.Node
     tree.links.new(mapping.outputs["Vector"], environment.inputs["Vector"])
     tree.links.new(environment.outputs["Color"], background.inputs["Color"])
     tree.links.new(background.outputs["Background"], output.inputs["Surface"])
-    return mapping, environment, background
+    environment.image = bpy.data.images.load(str(hdri))
+    environment.image.colorspace_settings.name = "Linear Rec.709"
+    mapping.inputs["Rotation"].default_value[2] = look.rotation
+    background.inputs["Strength"].default_value = look.strength
+    return world
 
 
-def contact_sheet(pictures: Sequence[np.ndarray], columns: int = 0) -> np.ndarray:
-    """Tile equally large pictures (H, W, C), the first one top left, as rows from the bottom as Blender has them."""
-    side = math.ceil(math.sqrt(len(pictures)))
-    even = (columns for columns in range(side, 2 * side) if len(pictures) % columns == 0)  # no empty place
-    columns = columns or next(even, side)
-    rows = math.ceil(len(pictures) / columns)
-    height, width, channels = pictures[0].shape
-    sheet = np.zeros((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, channels), np.float32)
-    sheet[..., 3:] = 1.0
-    for index, picture in enumerate(pictures):
-        row, column = rows - 1 - index // columns, index % columns
-        y, x = row * (height + GAP), column * (width + GAP)
-        sheet[y : y + height, x : x + width] = picture
-    return sheet
+def _read_pixels(written: dict[str, dict[str, Any]], folder: Path) -> None:
+    """Put the pixels of `_write_pixels` in the place of what the file has."""
+    for name, entry in written.items():
+        old, (width, height) = bpy.data.images.get((name, None)), entry["size"]
+        if old is None:  # nothing in the scene uses it
+            continue
+        new = bpy.data.images.new(name, width, height, alpha=True, float_buffer=entry["float"])
+        new.colorspace_settings.name, new.alpha_mode = old.colorspace_settings.name, old.alpha_mode
+        pixels = np.fromfile(folder / entry["file"], np.float32).reshape(height, width, -1)
+        filled = np.ones((height, width, 4), np.float32)
+        filled[..., : max(pixels.shape[-1], 3)] = pixels  # grey has one channel
+        new.pixels.foreach_set(filled.ravel())
+        old.user_remap(new)
 
 
-def read_picture(path: Path) -> np.ndarray:
-    """Pixels (H, W, 4) of an image file, as stored, rows from the bottom."""
-    image = bpy.data.images.load(str(path), check_existing=False)
-    try:
-        pixels = np.empty(len(image.pixels), np.float32)
-        image.pixels.foreach_get(pixels)
-        return pixels.reshape(image.size[1], image.size[0], -1)
-    finally:
-        bpy.data.images.remove(image)
+def _use_devices(cycles: dict[str, Any]) -> None:
+    """Render on the devices that the user chose."""
+    preferences = bpy.context.preferences.addons["cycles"].preferences
+    for name, value in cycles["settings"].items():
+        with contextlib.suppress(TypeError):  # a kind of device that is no longer there
+            setattr(preferences, name, value)
+    preferences.refresh_devices()
+    for device in preferences.devices:
+        device.use = cycles["devices"].get(device.id, device.use)
 
 
-def keep_picture(name: str, pixels: np.ndarray) -> bpy.types.Image:
-    """Put pixels (H, W, 4) into the packed image datablock `name`, made anew where the size differs."""
-    height, width = pixels.shape[:2]
-    image = bpy.data.images.get(name)
-    if image is not None and tuple(image.size) != (width, height):
-        bpy.data.images.remove(image)
-        image = None
-    if image is None:
-        image = bpy.data.images.new(name, width, height, alpha=True)
-    image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
-    image.update()
-    image.pack()
-    return image
-
-
-def write_label(path: Path, text: str) -> None:
-    """Write `text` into the lower left corner of an image file, where this Blender can (4.3 and later)."""
-    if not hasattr(blf, "bind_imbuf"):
-        return
-    picture = imbuf.load(str(path))
-    height = max(picture.size[1] // 14, 8)
-    with blf.bind_imbuf(0, picture, display_name="sRGB"):
-        blf.size(0, height)
-        outline = [(x, y, 0.0) for x in (-1, 0, 1) for y in (-1, 0, 1)]  # readable on any background
-        for x, y, shade in (*outline, (0, 0, 1.0)):
-            blf.color(0, shade, shade, shade, 1.0)
-            blf.position(0, height // 2 + x, height // 2 + y, 0)
-            blf.draw_buffer(0, text)
-    imbuf.write(picture, filepath=str(path))
-    picture.free()
-
-
-def take_pictures(files: Sequence[Path], lights: Sequence[Path]) -> np.ndarray:
-    """One rendered file as it is; several as a contact sheet, each with its light's name."""
-    if len(files) == 1:
-        return read_picture(files[0])
-    for file, light in zip(files, lights, strict=True):
-        write_label(file, hdris.title(light.stem))
-    return contact_sheet([read_picture(file) for file in files])
-
-
-def render_all(
-    studio: Studio, lights: Sequence[Path], folder: Path, step: Callable[[int], None] = lambda index: None
-) -> np.ndarray:
-    """Render a still per HDRI and tile them; one HDRI gives a plain still. Waits for the renders."""
-    files = []
-    for index, hdri in enumerate(lights):
-        step(index)
-        files.append(studio.still(hdri, folder / f"{index}.png"))
-    return take_pictures(files, lights)
-
-
-@contextlib.contextmanager
-def temporary_folder():
-    """A folder for pictures on their way into Blender."""
-    folder = Path(tempfile.mkdtemp(prefix="dante_w_", dir=bpy.app.tempdir))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def default_lights() -> list[Path]:
-    """Every HDRI that ships with Blender."""
-    return list(hdris.presets().values())
+if __name__ == "__main__":
+    os._exit(
+        main(Path(sys.argv[-1]))
+    )  # not through Blender's own end, which may crash and has nothing to save

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import bpy
 
-from ..blender import hdris, studio
+from ..blender import hdris, pictures, studio
 from ..blender.paths import file_name
 from ..contract.errors import BAD_INPUT, BUG, CANCELLED, DONE, BadInput
 from ..contract.protocol import Done, Failed, Step, encode
@@ -26,6 +26,7 @@ from . import export, interpreter, recovery
 from .headless_options import check, make_request, parse
 from .process import Process
 from .progress import Progress
+from .relighting import Relighting
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -103,7 +104,7 @@ def _lights(choice: str | None) -> list[Path]:
     if choice is None:
         return []
     if choice == "all":
-        return studio.default_lights()
+        return list(hdris.presets().values())
     path = hdris.file_of(choice, "") or hdris.file_of(hdris.OWN, os.path.abspath(choice))
     if path is None:
         names = ", ".join(hdris.presets())
@@ -114,18 +115,16 @@ def _lights(choice: str | None) -> list[Path]:
 
 
 def _relight(lights: list[Path], options: argparse.Namespace, target: Path) -> None:
+    def report(index: int) -> None:
+        step = Step("relight", index, len(lights))
+        text = encode(step) if options.json else f"Relighting {index + 1} of {len(lights)}"
+        print(text, flush=True)
+
     look = studio.Look(samples=options.samples, size=options.size)
-    with studio.Studio(bpy.context, look) as borrowed, studio.temporary_folder() as folder:
-
-        def report(index: int) -> None:
-            step = Step("relight", index, len(lights))
-            text = encode(step) if options.json else f"Relighting {index + 1} of {len(lights)}"
-            print(text, flush=True)
-
-        picture = studio.render_all(borrowed, lights, folder, report)
-        image = studio.keep_picture("DANTE-W relight", picture)
-        image.filepath_raw, image.file_format = str(target), "PNG"
-        image.save()
+    with Relighting(bpy.context, lights, look) as relighting:
+        image = pictures.keep_picture("DANTE-W relight", relighting.wait(report))
+    image.filepath_raw, image.file_format = str(target), "PNG"
+    image.save()
 
 
 def _follow(process: Process, as_json: bool) -> Progress:

@@ -13,7 +13,8 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import IO, Any
 
 from ..contract.protocol import Message, decode
@@ -44,8 +45,12 @@ class Process:
         cancelled: whether it was asked to end.
     """
 
-    def __init__(self, command: Sequence[str | os.PathLike[str]]) -> None:
-        """Start `command`.
+    def __init__(
+        self,
+        command: Sequence[str | os.PathLike[str]],
+        variables: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        """Start `command`, with `variables` in its environment.
 
         Raises:
             OSError: it cannot be started.
@@ -60,7 +65,7 @@ class Process:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             bufsize=0,
-            env=clean_environment(),
+            env={**clean_environment(), **variables},
             **_own_group(),
         )
         self._output, self._errors = Lines(self._popen.stdout), Lines(self._popen.stderr)

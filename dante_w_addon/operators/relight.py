@@ -2,107 +2,55 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-from pathlib import Path
+import atexit
 
 import bpy
-import numpy as np
 from bpy.props import BoolProperty
 
-from ..blender import hdris, properties, studio
+from ..blender import hdris, pictures, properties, studio
 from ..bridge import job
+from ..bridge.relighting import Relighting
 from . import windows
 
 PREVIEW = "DANTE-W relight"
 SHEET = "DANTE-W contact sheet"
 STILL_SIZE, TILE_SIZE = 640, 320  # pixels, the longer side
-THUMBNAIL = 256  # pixels, as large as Blender's previews get
-
-
-class Relighting:
-    """Renders that follow each other while the user works on."""
-
-    def __init__(self, studio: studio.Studio, lights: list[Path], name: str) -> None:
-        self.studio, self.lights, self.name = studio, lights, name
-        self.files: list[Path] = []
-        self.folder = Path(tempfile.mkdtemp(prefix="dante_w_", dir=bpy.app.tempdir))
-        self.message = ""
-
-    @property
-    def target(self) -> Path:
-        return self.folder / f"{len(self.files)}.png"
-
-    def start_next(self) -> None:
-        """Start one render in the background, with no window of its own."""
-        self.studio.light(self.lights[len(self.files)], self.target)
-        view = bpy.context.preferences.view
-        kept = view.render_display_type
-        view.render_display_type = "NONE"
-        try:
-            with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
-                bpy.ops.render.render("INVOKE_DEFAULT", write_still=True, scene=self.studio.scene.name)
-        finally:
-            view.render_display_type = kept
-
-    def look(self) -> bool:
-        """Take a finished render in and start the next. Returns: still at work."""
-        if bpy.app.is_job_running("RENDER"):
-            return True
-        if not self.target.is_file():
-            self.message = "The preview was stopped."
-            return self.close()
-        self.files.append(self.target)
-        if len(self.files) < len(self.lights):
-            self.start_next()
-            return True
-        keep(self.name, studio.take_pictures(self.files, self.lights))
-        return self.close()
-
-    def close(self) -> bool:
-        """Clean up; returns False."""
-        self.studio.close()
-        shutil.rmtree(self.folder, ignore_errors=True)
-        return False
-
 
 active: Relighting | None = None
 last_message = ""
-_latest = ""
+_name = ""  # of the picture that is on its way, or was
+
+
+def watch(relighting: Relighting, name: str) -> None:
+    """Let the picture of `relighting` come into the file as `name` when it is finished."""
+    global active, last_message, _name
+    active, last_message, _name = relighting, "", name
+    bpy.app.timers.register(tick, first_interval=job.TICK)
 
 
 def tick() -> float | None:
-    """Timer: carry a relighting on."""
+    """Timer: take the picture in when it is finished."""
     global active, last_message
-    going = False
-    if active is not None:
-        try:
-            going = active.look()
-        except (ReferenceError, RuntimeError, OSError) as error:  # undone, or the file is gone, under us
-            active.message = f"The preview was stopped: {error}"
-            active.close()
+    if active is None:
+        return None
+    try:
+        going = active.update() or bpy.app.is_job_running(
+            "RENDER"
+        )  # no change of data while the user renders
         if not going:
-            last_message, active = active.message, None
+            pictures.keep_picture(_name, active.pixels())
+    except (RuntimeError, OSError) as error:
+        last_message, going = studio.reason(error), False
+    if not going:
+        active.close()
+        active = None
     job.redraw()
     return job.TICK if going else None
 
 
-def keep(name: str, pixels: np.ndarray) -> bpy.types.Image:
-    """Put a picture into the file, with a thumbnail for the panel."""
-    global _latest
-    _latest = name
-    image = studio.keep_picture(name, pixels)
-    step = -(-max(pixels.shape[:2]) // THUMBNAIL)
-    small = np.ascontiguousarray(pixels[::step, ::step])
-    preview = image.preview_ensure()
-    preview.image_size = small.shape[1], small.shape[0]
-    preview.image_pixels_float.foreach_set(small.ravel())
-    return image
-
-
 def latest_image() -> bpy.types.Image | None:
     """The newest picture, or one that was saved with the file."""
-    names = (_latest, PREVIEW, SHEET)
+    names = (_name, PREVIEW, SHEET)
     return next((bpy.data.images[name] for name in names if name in bpy.data.images), None)
 
 
@@ -136,31 +84,52 @@ class DANTEW_OT_relight(bpy.types.Operator):
         return False
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        borrowed, lights, name = self._prepare(context)
-        with studio.temporary_folder() as folder, borrowed:
-            try:
-                keep(name, studio.render_all(borrowed, lights, folder))
-            except RuntimeError as error:
-                self.report({"ERROR"}, str(error))
-                return {"CANCELLED"}
+        global _name
+        try:
+            with self._start(context) as relighting:
+                pixels = relighting.wait()
+        except RuntimeError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        _name = self._picture_name()
+        pictures.keep_picture(_name, pixels)
         return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        global active, last_message
         if bpy.app.background:
             return self.execute(context)
-        active, last_message = Relighting(*self._prepare(context)), ""
-        active.start_next()
-        bpy.app.timers.register(tick, first_interval=job.TICK)
+        try:
+            watch(self._start(context), self._picture_name())
+        except RuntimeError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         return {"FINISHED"}
 
-    def _prepare(self, context: bpy.types.Context) -> tuple[studio.Studio, list[Path], str]:
+    def _start(self, context: bpy.types.Context) -> Relighting:
         settings = properties.settings_of(context.scene)
         size = TILE_SIZE if self.every else STILL_SIZE
         look = studio.Look(settings.rotation, settings.strength, settings.samples, size)
         one = hdris.file_of(settings.hdri, settings.hdri_file)
-        lights = studio.default_lights() if self.every else [one]
-        return studio.Studio(context, look), lights, SHEET if self.every else PREVIEW
+        return Relighting(context, list(hdris.presets().values()) if self.every else [one], look)
+
+    def _picture_name(self) -> str:
+        return SHEET if self.every else PREVIEW
+
+
+class DANTEW_OT_cancel_relight(bpy.types.Operator):
+    """Stop rendering; no picture is made"""
+
+    bl_idname = "dantew.cancel_relight"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return active is not None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        stop()
+        job.redraw()
+        return {"FINISHED"}
 
 
 class DANTEW_OT_open_image(bpy.types.Operator):
@@ -181,7 +150,7 @@ class DANTEW_OT_open_image(bpy.types.Operator):
 
 
 def stop() -> None:
-    """Forget a relighting that runs."""
+    """End a relighting that runs: it is cancelled, the file is closed, Blender quits, or the add-on is turned off."""
     global active
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
@@ -196,14 +165,16 @@ def _file_closes(*_: object) -> None:
 
 
 def register() -> None:
-    """Forget a relighting when its file is closed."""
+    """End a relighting with its file and with Blender."""
     bpy.app.handlers.load_pre.append(_file_closes)
+    atexit.register(stop)
 
 
 def unregister() -> None:
     """Undo `register`."""
     stop()
     bpy.app.handlers.load_pre.remove(_file_closes)
+    atexit.unregister(stop)
 
 
-CLASSES = (DANTEW_OT_relight, DANTEW_OT_open_image)
+CLASSES = (DANTEW_OT_relight, DANTEW_OT_cancel_relight, DANTEW_OT_open_image)

@@ -115,8 +115,11 @@ class DANTEW_PT_relight(_Panel, bpy.types.Panel):
         column.prop(settings, "samples")
         running = relight.active
         if running is not None:
-            done, total = len(running.files), len(running.lights)
-            layout.progress(factor=(done + 0.5) / total, text=f"Rendering {done + 1} of {total}")
+            total = len(running.lights)
+            done = min(len(running.files), total - 1)
+            row = layout.row(align=True)
+            row.progress(factor=(done + 0.5) / total, text=f"Rendering {done + 1} of {total}")
+            row.operator("dantew.cancel_relight", text="", icon="X")
         else:
             row = layout.row(align=True)
             row.scale_y = 1.3
