@@ -10,8 +10,10 @@ from dante_w_addon.operators import relight
 
 TINY = studio.Look(samples=4, size=64)
 FOREST, CITY = hdris.presets()["forest"], hdris.presets()["city"]
-COLLECTIONS = [
-    entry.identifier for entry in bpy.types.BlendData.bl_rna.properties if entry.type == "COLLECTION"
+COLLECTIONS = [  # `all_ids` is all others together
+    entry.identifier
+    for entry in bpy.types.BlendData.bl_rna.properties
+    if entry.type == "COLLECTION" and entry.identifier != "all_ids"
 ]
 
 

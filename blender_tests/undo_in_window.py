@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import random
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -89,11 +90,14 @@ def story(driver: window.Driver, options: argparse.Namespace):
     """Relight again and again, each time with other keys at other moments."""
     import small_scene
 
+    from dante_w_addon.blender import pictures
     from dante_w_addon.operators import relight
 
     chance = random.Random(options.seed)
     relight.STILL_SIZE, relight.TILE_SIZE = 160, 64
-    file = options.shots / "undone.blend"
+    tile = (64 + pictures.GAP, 48 + pictures.GAP)
+    sizes = (160, 120), (4 * tile[0] - pictures.GAP, 2 * tile[1] - pictures.GAP)
+    file, copy = options.shots / "undone.blend", options.shots / "saved.blend"
     yield 1.0
     yield from driver.open_tab()
     small_scene.build(options.shots / "photos")
@@ -113,22 +117,21 @@ def story(driver: window.Driver, options: argparse.Namespace):
         assert relight.active is not None, f"the preview did not start: {relight.last_message}"
         started = time.monotonic()
         keys = []
+        yield chance.uniform(0.0, LONGEST_WAIT)
         while relight.active is not None:
-            yield chance.uniform(0.0, LONGEST_WAIT)
             action = chance.choices(list(ACTIONS), list(ACTIONS.values()))[0]
-            keys.append(
-                f"{action} {time.monotonic() - started:.1f}{'' if relight.active else ' (at the end)'}"
-            )
+            keys.append(f"{action} {time.monotonic() - started:.1f}")
             print(keys[-1], flush=True)
             yield from getattr(hands, action)()
-            if not every:
-                assert time.monotonic() - started < 120.0, "the preview does not end"
-        yield 0.3
+            yield chance.uniform(0.0, LONGEST_WAIT)
         assert not relight.last_message, relight.last_message
+        picture = bpy.data.images.get(relight.SHEET if every else relight.PREVIEW)
+        assert picture is not None and tuple(picture.size) == sizes[every], "no picture"
         assert contents() == before, f"{contents()} is not {before}"
         rounds += 1
         print(f"round {rounds}, {'contact sheet' if every else 'preview'}: {', '.join(keys)}", flush=True)
-        with bpy.data.libraries.load(str(file)) as (saved, _):
+        shutil.copy(file, copy)
+        with bpy.data.libraries.load(str(copy)) as (saved, _):
             assert saved.scenes == before["scenes"] and saved.worlds == before["worlds"], saved.scenes
         for _ in range(5):
             yield from hands.move()

@@ -58,13 +58,13 @@ def outside(blender: str, shots: Path, script: str, arguments: Sequence[str]) ->
     shutil.rmtree(shots / "user", ignore_errors=True)
     (shots / "user" / "config").mkdir(parents=True)
     screen, display = _screen()
-    command = [
-        *_with_variables(shlex.split(blender), display, shots / "user"),
-        *("--window-geometry", "0", "0", str(WIDTH), str(HEIGHT), "--no-window-focus"),
-        *("--gpu-backend", "opengl", "--enable-event-simulate", "--python-exit-code", "1"),
-        *("--python", str(HERE / script), "--", *arguments),
-    ]
     try:
+        command = [
+            *_with_variables(shlex.split(blender), display, shots / "user"),
+            *("--window-geometry", "0", "0", str(WIDTH), str(HEIGHT), "--no-window-focus"),
+            *("--gpu-backend", "opengl", "--enable-event-simulate", "--python-exit-code", "1"),
+            *("--python", str(HERE / script), "--", *arguments),
+        ]
         process = subprocess.Popen(command)
         end = time.monotonic() + PATIENCE
         while process.poll() is None and time.monotonic() < end:

@@ -43,11 +43,11 @@ def can_denoise() -> bool:
 
 
 def reason(error: Exception) -> str:
-    """What went wrong, in one line."""
+    """What went wrong, in one line without a full stop."""
     if isinstance(error, OSError) and error.strerror:
         return ": ".join(str(part) for part in (error.strerror, error.filename) if part)
     said = str(error).strip().splitlines() or [type(error).__name__]
-    return said[-1].removeprefix("Error: ")
+    return said[-1].removeprefix("Error: ").rstrip(".")
 
 
 # ---- the user's Blender ----------------------------------------------------------------------------------
@@ -115,7 +115,6 @@ def main(folder: Path) -> int:
     except Exception as error:
         say(stage="error", code=1, message=reason(error))
         return 1
-    say(stage="done", out=str(folder))
     return 0
 
 

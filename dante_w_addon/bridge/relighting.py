@@ -47,7 +47,7 @@ class Relighting:
             self._process = Process(_command(self._folder), temporary)
         except (OSError, RuntimeError) as error:
             shutil.rmtree(self._folder, ignore_errors=True)
-            raise RuntimeError(f"The preview failed: {studio.reason(error)}") from error
+            raise RuntimeError(f"The preview failed: {studio.reason(error)}.") from error
 
     def __enter__(self) -> Relighting:
         return self
@@ -79,7 +79,7 @@ class Relighting:
             RuntimeError: there is none; one sentence says why.
         """
         if self._reason:
-            raise RuntimeError(f"The preview failed: {self._reason}")
+            raise RuntimeError(f"The preview failed: {self._reason}.")
         return pictures.take_pictures(self.files, self.lights)
 
     def wait(self, report: Callable[[int], None] = lambda index: None) -> np.ndarray:

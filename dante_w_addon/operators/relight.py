@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 
 import bpy
+import numpy as np
 from bpy.props import BoolProperty
 
 from ..blender import hdris, pictures, properties, studio
@@ -18,7 +19,8 @@ STILL_SIZE, TILE_SIZE = 640, 320  # pixels, the longer side
 
 active: Relighting | None = None
 last_message = ""
-_name = ""  # of the picture that is on its way, or was
+_name = ""  # of the picture that is on its way
+_newest: tuple[str, np.ndarray] | None = None  # name and pixels of the picture that came last
 
 
 def watch(relighting: Relighting, name: str) -> None:
@@ -34,13 +36,12 @@ def tick() -> float | None:
     if active is None:
         return None
     try:
-        going = active.update() or bpy.app.is_job_running(
-            "RENDER"
-        )  # no change of data while the user renders
+        # What the user renders meanwhile must not see data change.
+        going = active.update() or bpy.app.is_job_running("RENDER")
         if not going:
-            pictures.keep_picture(_name, active.pixels())
+            keep(_name, active.pixels())
     except (RuntimeError, OSError) as error:
-        last_message, going = studio.reason(error), False
+        last_message, going = f"{studio.reason(error)}.", False
     if not going:
         active.close()
         active = None
@@ -48,9 +49,16 @@ def tick() -> float | None:
     return job.TICK if going else None
 
 
+def keep(name: str, pixels: np.ndarray) -> None:
+    """Put a finished picture into the file."""
+    global _newest
+    _newest = name, pixels
+    pictures.keep_picture(name, pixels)
+
+
 def latest_image() -> bpy.types.Image | None:
     """The newest picture, or one that was saved with the file."""
-    names = (_name, PREVIEW, SHEET)
+    names = (*(_newest or ())[:1], PREVIEW, SHEET)
     return next((bpy.data.images[name] for name in names if name in bpy.data.images), None)
 
 
@@ -84,15 +92,13 @@ class DANTEW_OT_relight(bpy.types.Operator):
         return False
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        global _name
         try:
             with self._start(context) as relighting:
                 pixels = relighting.wait()
         except RuntimeError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        _name = self._picture_name()
-        pictures.keep_picture(_name, pixels)
+        keep(self._picture_name(), pixels)
         return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -161,20 +167,36 @@ def stop() -> None:
 
 @bpy.app.handlers.persistent
 def _file_closes(*_: object) -> None:
+    global _newest
     stop()
+    _newest = None
+
+
+@bpy.app.handlers.persistent
+def _undone(*_: object) -> None:
+    """The picture came without an undo step, so that redo stays possible: undo takes it away, and it is put back here."""
+    if _newest is not None and _newest[0] not in bpy.data.images:
+        pictures.keep_picture(*_newest)
 
 
 def register() -> None:
     """End a relighting with its file and with Blender."""
-    bpy.app.handlers.load_pre.append(_file_closes)
+    for handlers, function in _HANDLERS:
+        handlers.append(function)
     atexit.register(stop)
 
 
 def unregister() -> None:
     """Undo `register`."""
-    stop()
-    bpy.app.handlers.load_pre.remove(_file_closes)
+    _file_closes()
+    for handlers, function in _HANDLERS:
+        handlers.remove(function)
     atexit.unregister(stop)
 
 
+_HANDLERS = (
+    (bpy.app.handlers.load_pre, _file_closes),
+    (bpy.app.handlers.undo_post, _undone),
+    (bpy.app.handlers.redo_post, _undone),
+)
 CLASSES = (DANTEW_OT_relight, DANTEW_OT_cancel_relight, DANTEW_OT_open_image)
