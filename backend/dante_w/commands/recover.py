@@ -14,8 +14,8 @@ from dante_w.contract.errors import BadInput
 from dante_w.contract.vocabulary import component
 from dante_w.core.color import linear_from_srgb_array
 from dante_w.estimate.memory import AVERAGED
-from dante_w.field.presets import PRESETS
 from dante_w.options import RecoverOptions
+from dante_w.presets import PRESETS, Preset
 from dante_w.run import distributed
 from dante_w.run.progress import Progress
 from dante_w.texture.coverage import empty_coverage, mark
@@ -24,7 +24,9 @@ from dante_w.texture.photo_average import PhotoAverage
 __all__ = ["average", "plan", "recover"]
 
 
-def recover(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
+def recover(
+    options: RecoverOptions, staging: Path, progress: Progress, settings: Preset | None = None
+) -> dict[str, Any]:
     """Recover the albedo texture into `staging`; returns the report. `options` are the command's.
 
     Raises:
@@ -40,15 +42,19 @@ def recover(options: RecoverOptions, staging: Path, progress: Progress) -> dict[
             "--no-photometric, --equal-bands and --keep-held-out belong to --irradiance field; leave them out."
         )
     _check_components(options)
+    preset = settings or PRESETS[options.preset]
     if options.uses_field:
-        return recover_field(options, staging, progress)
-    return recover_traced(options, staging, progress) if distributed.rank() == 0 else {}
+        return recover_field(options, preset, staging, progress)
+    return recover_traced(options, preset, staging, progress) if distributed.rank() == 0 else {}
 
 
-def plan(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
+def plan(
+    options: RecoverOptions, staging: Path, progress: Progress, settings: Preset | None = None
+) -> dict[str, Any]:
     """Decide what `recover` would model and say so, without doing it; returns that. Errors as `recover`."""
     _check_components(options)
-    return (plan_field if options.uses_field else plan_traced)(options, staging, progress)
+    plan_it = plan_field if options.uses_field else plan_traced
+    return plan_it(options, settings or PRESETS[options.preset], staging, progress)
 
 
 def _check_components(options: RecoverOptions) -> None:

@@ -42,9 +42,11 @@ from dante_w.field.divergence import Course
 from dante_w.field.fields import Model, ModelSpec
 from dante_w.field.held_out import held_out_psnr
 from dante_w.field.optimise import LossTerms, fit, photo_ranges
-from dante_w.field.presets import PRESETS, equal_bands, sized
+from dante_w.field.presets import Preset as FieldSettings
+from dante_w.field.presets import equal_bands, sized
 from dante_w.field.scale_ambiguity import albedo_gain, start_exposures
 from dante_w.options import RecoverOptions
+from dante_w.presets import Preset
 from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.scene3d import Scene3D
 from dante_w.run import distributed
@@ -59,23 +61,25 @@ from dante_w.texture.known_colours import known_gain
 TOLD_NOTHING, LITTLE = 0.9, 0.05
 
 
-def recover_field(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
+def recover_field(
+    options: RecoverOptions, chosen: Preset, staging: Path, progress: Progress
+) -> dict[str, Any]:
     """The paper's model: both fields fitted by gradient descent."""
     device = pick_device(options.device)
     distributed.join(device)
-    preset = PRESETS[options.preset]
-    spec = equal_bands(preset.model) if options.equal_bands else preset.model
+    settings = chosen.field
+    spec = equal_bands(settings.model) if options.equal_bands else settings.model
     scene, scene3d, size, texture = prepare(
-        options, options.priors, preset.texture_size, BAKED, staging, progress
+        options, options.priors, chosen.texture_size, BAKED, staging, progress
     )
     use_prior = options.prior_weight > 0.0 and any(frame.albedo for frame in scene.frames)
     if options.no_photometric and not use_prior:
         raise BadInput("--no-photometric leaves only the priors, and there are none; add --priors DIR.")
-    ours = (0.0, 0.0) if use_prior else (preset.white_light, preset.small_offset)
+    ours = (0.0, 0.0) if use_prior else (settings.white_light, settings.small_offset)
     terms = LossTerms(not options.no_photometric, options.prior_weight, *ours)
     held_out = choose_held_out(len(scene.frames))
-    fitting = Fitting(spec, terms, preset.schedule.batch, device)
-    expected = _expect(options, scene, scene3d, held_out, size, fitting, staging, progress)
+    fitting = _Fitting(settings, spec, terms, device, held_out)
+    expected = _expect(options, scene, scene3d, size, fitting, staging, progress)
     held = resident()
     kept = open_checkpoints(options, scene, scene3d.mesh)
     seen = look(scene, scene3d, size, kept, staging, progress)
@@ -83,10 +87,11 @@ def recover_field(options: RecoverOptions, staging: Path, progress: Progress) ->
     if terms.photometric:
         check_exposed(scene, cache)
     everything = photo_ranges(cache, np.arange(len(scene.frames)))
-    spec = spec if options.preset == "paper" else sized(spec, size, cache)
+    spec = spec if chosen.name == "paper" else sized(spec, size, cache)
+    fitting = dataclasses.replace(fitting, spec=spec)
     plan = _plan(scene, spec, cache, size, texture, held)
     say_plan(options, plan, progress)
-    model, score, setbacks = _fit(cache, spec, terms, options, device, held_out, progress, kept)
+    model, score, setbacks = _fit(cache, fitting, options, progress, kept)
     if distributed.rank() > 0:
         return {}
     progress.update("bake", 0.0, 1.0)
@@ -111,7 +116,7 @@ def recover_field(options: RecoverOptions, staging: Path, progress: Progress) ->
         staging,
         progress,
         device=str(device),
-        preset={**dataclasses.asdict(preset), "model": dataclasses.asdict(spec)},
+        preset={**dataclasses.asdict(settings), "model": dataclasses.asdict(spec)},
         photos=len(scene.frames),
         samples=len(cache),
         priors=sum(frame.albedo is not None for frame in scene.frames),
@@ -127,17 +132,17 @@ def recover_field(options: RecoverOptions, staging: Path, progress: Progress) ->
     )
 
 
-def plan_field(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
+def plan_field(options: RecoverOptions, chosen: Preset, staging: Path, progress: Progress) -> dict[str, Any]:
     """Decide how large the paper's model is and say so, without fitting it. Arguments and errors as `recover.recover`."""
-    preset = PRESETS[options.preset]
     scene, scene3d, size, texture = prepare(
-        options, options.priors, preset.texture_size, BAKED, staging, progress
+        options, options.priors, chosen.texture_size, BAKED, staging, progress
     )
     expect_no_fit(options, scene, scene3d, size, staging, progress)
     held = resident()
     cache = look(scene, scene3d, size, None, staging, progress).cache
     check_exposed(scene, cache)
-    spec = preset.model if options.preset == "paper" else sized(preset.model, size, cache)
+    model = chosen.field.model
+    spec = model if chosen.name == "paper" else sized(model, size, cache)
     decisions = _plan(scene, spec, cache, size, texture, held)
     say_plan(options, decisions, progress)
     return {
@@ -165,28 +170,41 @@ def _plan(
     ]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Fitting:
+    """What is fitted, to what, and where: the preset's settings, the model's size, the terms of the loss, the device, and the
+    held-out photos."""
+
+    settings: FieldSettings
+    spec: ModelSpec
+    terms: LossTerms
+    device: torch.device
+    held_out: np.ndarray
+
+
 def _expect(
     options: RecoverOptions,
     scene: Scene,
     scene3d: Scene3D,
-    held_out: np.ndarray,
     size: int,
-    fitting: Fitting,
+    fitting: _Fitting,
     staging: Path,
     progress: Progress,
 ) -> dict[str, Any]:
     """What is said of the run before it begins."""
-    preset, texture = PRESETS[options.preset], Texture(size, TEXEL_TYPES[options.format])
+    settings, held_out = fitting.settings, fitting.held_out
+    texture = Texture(size, TEXEL_TYPES[options.format])
     work = Work(
         photos=len(scene.frames),
         pixels=pixels(scene.frames),
         texels=size**2,
         held_out_pixels=pixels(scene.frames[i] for i in held_out) if fitting.terms.photometric else 0,
-        steps=preset.schedule.steps,
-        final_steps=preset.final_pass.steps if len(held_out) and not options.keep_held_out else 0,
+        steps=settings.schedule.steps,
+        final_steps=settings.final_pass.steps if len(held_out) and not options.keep_held_out else 0,
     )
     sample = take(scene.frames, scene3d)
-    to_come = predict(measure(sample, scene3d.mesh, texture, staging, fitting), work)
+    timed = Fitting(fitting.spec, fitting.terms, settings.schedule.batch, fitting.device)
+    to_come = predict(measure(sample, scene3d.mesh, texture, staging, timed), work)
     begin(progress, to_come)
     priors = any(frame.albedo for frame in scene.frames) and fitting.terms.prior_weight > 0.0
     as_measured = not (priors or options.equal_bands)
@@ -196,11 +214,8 @@ def _expect(
 
 def _fit(
     cache: RayCache,
-    spec: ModelSpec,
-    terms: LossTerms,
+    fitting: _Fitting,
     options: RecoverOptions,
-    device: torch.device,
-    held_out: np.ndarray,
     progress: Progress,
     kept: Checkpoints,
 ) -> tuple[Model, float | None, dict[str, list[Setback]]]:
@@ -211,20 +226,22 @@ def _fit(
         DanteError: the fit does not come to anything.
     """
     photos = np.arange(len(cache.starts) - 1)
-    preset, seed = PRESETS[options.preset], options.seed
+    settings, terms, held_out, seed = fitting.settings, fitting.terms, fitting.held_out, options.seed
 
     def report(stage: str) -> Callable[[int, int, float], None]:
         return lambda step, steps, loss: progress.update(stage, step, steps, loss)
 
-    progress.update("optimise", 0, preset.schedule.steps)
+    progress.update("optimise", 0, settings.schedule.steps)
     torch.manual_seed(seed)
-    model = Model(spec, len(photos))
+    model = Model(fitting.spec, len(photos))
     start_exposures(model, cache)
-    model.to(device)
+    model.to(fitting.device)
     training = photo_ranges(cache, np.setdiff1d(photos, held_out))
     if len(training) == 0:
         held_out, training = held_out[:0], photo_ranges(cache, photos)
-    course = fit(model, cache, training, terms, preset.schedule, seed, report("optimise"), None, kept, "fit")
+    course = fit(
+        model, cache, training, terms, settings.schedule, seed, report("optimise"), None, kept, "fit"
+    )
     _check(course)
     setbacks = {"optimise": course.setbacks}
     if len(held_out) == 0:
@@ -234,8 +251,8 @@ def _fit(
         score, setbacks["held-out"] = held_out_psnr(model, cache, held_out, seed, report("held-out"))
     if not options.keep_held_out:
         everything = photo_ranges(cache, photos)
-        progress.update("final pass", 0, preset.final_pass.steps)
-        schedule = preset.final_pass
+        schedule = settings.final_pass
+        progress.update("final pass", 0, schedule.steps)
         course = fit(
             model, cache, everything, terms, schedule, seed + 1, report("final pass"), None, kept, "final fit"
         )

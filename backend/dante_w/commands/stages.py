@@ -40,7 +40,7 @@ from dante_w.texture.bake import Texels, bake
 from dante_w.texture.check_uvs import check_uvs
 from dante_w.texture.coverage import Coverage, empty_coverage, mark
 from dante_w.texture.unwrap import unwrap
-from dante_w.traced.pixel_weights import CLIPPED
+from dante_w.traced.pixel_weights import USUAL
 
 TEXEL_TYPES = {"png": np.uint8, "png16": np.uint16, "exr": np.float16}
 
@@ -168,7 +168,7 @@ def check_exposed(scene: Scene, cache: RayCache) -> None:
     """
     for first, end in zip(cache.starts[:-1], cache.starts[1:], strict=True):
         colour = np.asarray(cache.colour[first:end], np.float32)
-        if ((colour.max(axis=1, initial=0.0) > 0.0) & (colour < CLIPPED).any(axis=1)).any():
+        if ((colour.max(axis=1, initial=0.0) > 0.0) & (colour < USUAL.clipped_from).any(axis=1)).any():
             return
     raise BadInput(
         f"{scene.frames[0].image.parent}: all photos are black or overexposed where they show the mesh; use others."

@@ -15,10 +15,11 @@ from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.raycast import Raycaster
 from dante_w.texture.photo_average import PhotoAverage
 from dante_w.traced.albedo_texture import albedo_texture
-from dante_w.traced.light_clusters import CLUSTERS
+from dante_w.traced.light_clusters import USUAL_CLUSTERS
 from dante_w.traced.light_transport import LightTransport, sphere, trace_light_transport
-from dante_w.traced.model_selection import ONE_IN
-from dante_w.traced.shading_points import PHOTOS, Observations, ShadingPoints, gather
+from dante_w.traced.model_selection import USUAL_SELECTION
+from dante_w.traced.observations import USUAL_THINNING, Observations
+from dante_w.traced.shading_points import ShadingPoints, ShadingSettings, gather
 from dante_w.traced.solver.solve_lights import (
     AGAIN,
     COARSE,
@@ -30,7 +31,7 @@ from dante_w.traced.solver.solve_lights import (
     explain,
     observed_specular,
 )
-from dante_w.traced.state import Lighting
+from dante_w.traced.state import Lighting, TracedScene
 from dante_w.traced.sun import STEPS as SUN_STEPS
 
 #: Points traced, observations explained, samples given an albedo, and texels a side filled at most; and of samples and
@@ -104,7 +105,7 @@ def measure_traced(
     cache = _first(sample.cache, len(sample.cache))
     cameras = np.full((len(cache.starts) - 1, 3), 3.0)  # any place will do
     gather(_first(cache, FEW), cameras)
-    (points, seen), gathering = timed(lambda: gather(cache, cameras, finer=finer))
+    (points, seen), gathering = timed(lambda: gather(cache, cameras, ShadingSettings(side=256 * finer)))
     transfer, tracing = _trace(points, cache, sample.caster, directions)
     lights = _grey_lights(points, cameras, transfer)
     irradiance = lights.irradiance(transfer)
@@ -120,11 +121,11 @@ def measure_traced(
 
     def divided(some: RayCache, side: int) -> float:
         assert some.footprint is not None
-        rows = seen.of(seen.photo < len(some.starts) - 1)
-        what = some, some.footprint, points, transfer, lights, cameras, side
-        return timed(lambda: albedo_texture(*what, lambda _: None, rows))[1]
+        rows = seen.take(seen.photo < len(some.starts) - 1)
+        scene = TracedScene(cameras, points, rows, transfer, None, None, lights.cluster)
+        return timed(lambda: albedo_texture(some, scene, lights, side, lambda _: None))[1]
 
-    hardly_any, rows = (seen.of(np.arange(min(len(seen.point), count))) for count in (FEW, EXPLAINED))
+    hardly_any, rows = (seen.take(np.arange(min(len(seen.point), count))) for count in (FEW, EXPLAINED))
     levelling = explained(hardly_any)[1]
     shining, explaining = explained(rows)
     side = min(math.isqrt(texels), SIDE)
@@ -148,9 +149,9 @@ def measure_traced(
         photos=photos,
         samples=sample.foreground * sample.hit * pixels,
         points=len(points),
-        observations=min(shown * photos, PHOTOS * len(points)),
+        observations=min(shown * photos, USUAL_THINNING.photos * len(points)),
         directions=directions,
-        first_lights=min(CLUSTERS, photos),
+        first_lights=min(USUAL_CLUSTERS.clusters, photos),
         lights=min(LIGHTS, photos),
         texels=texels,
         suns=suns,
@@ -191,7 +192,7 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
         equations = (AGAIN - grouped) * step(lights, few) + grouped * regrouped(lights, share)
         return refined(AGAIN, few, share) + equations
 
-    first, lights, trial = work.first_lights, work.lights, 1.0 / ONE_IN
+    first, lights, trial = work.first_lights, work.lights, 1.0 / USUAL_SELECTION.one_in
     # five fits: several lights and one from the start, without gloss from there, and one of these without exposures
     trials = cold(first, lights, trial) + cold(1, 1, trial) + 2.0 * again(lights, trial) + again(1, trial)
     prepared = PREPARED * observations * pace.explain

@@ -1,46 +1,68 @@
 """Which photos share a light.
 
 Two photos of one light differ by their exposures alone, so the ratio of their colours is the same at every point that
-both see. That makes a first grouping, with too many groups rather than too few: a group split in two costs little,
-photos of two lights in one group cost a lot. While the lights are solved for, photos move to the light that explains
+both see. That makes a first clustering, with too many clusters rather than too few: a cluster split in two costs little,
+photos of two lights in one cluster cost a lot. While the lights are solved for, photos move to the light that explains
 them best, and lights that explain each other's photos become one.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import prange
 
 from dante_w.core.jit import njit_parallel
-from dante_w.traced.shading_points import Observations
-
-#: Groups at the start, if there are as many photos.
-CLUSTERS = 10
-#: Photos that are compared with all others; of more, each joins what it is like.
-COMPARED = 150
-#: Points that two photos must both see for their ratio to say something; with fewer they count as `UNRELATED`.
-COMMON, UNRELATED = 150, 0.12
-#: Distance of groups of which nothing is known.
-FARTHEST = 1.0
-#: Brightness (sum of linear channels) below which a ratio is mostly noise.
-DIM = 0.05
-#: A photo moves if another light's residual is this fraction of its own's.
-BETTER = 0.97
-#: Log residuals count no more than this, and their means no less.
-OUTLIER, SMALLEST = 0.4, 1e-6
+from dante_w.traced.observations import Observations
+from dante_w.traced.state import Lighting
 
 
-def first_clusters(seen: Observations, points: int, photos: int) -> np.ndarray:
+@dataclass(frozen=True)
+class ClusterSettings:
+    """How photos are told apart by their light.
+
+    Attributes:
+        clusters: at the start, if there are as many photos.
+        compared: photos that are compared with all others; of more, each joins those that it is like.
+        common: points that two photos must both see for their ratio to count.
+        unrelated: distance (median absolute deviation of log ratios) of photos that share fewer points than others do.
+        usual_overlap: that is, fewer than this part of the median number of common points.
+        farthest: distance of clusters of which nothing is known.
+        dim: brightness (sum of linear channels) below which a ratio is mostly noise.
+        better: a photo moves if another light's residual is this fraction of its own's.
+        outlier: absolute log residuals count no more than this.
+        smallest: mean residuals count no less than this.
+    """
+
+    clusters: int = 10
+    compared: int = 150
+    common: int = 150
+    unrelated: float = 0.12
+    usual_overlap: float = 0.3
+    farthest: float = 1.0
+    dim: float = 0.05
+    better: float = 0.97
+    outlier: float = 0.4
+    smallest: float = 1e-6
+
+
+USUAL_CLUSTERS = ClusterSettings()
+
+
+def first_clusters(
+    observations: Observations, points: int, photos: int, settings: ClusterSettings = USUAL_CLUSTERS
+) -> np.ndarray:
     """(K,) light of each photo, from ratios of colours alone.
 
-    Of very many photos, `COMPARED` spread evenly among them form the groups; each of the others joins the group whose members
-    it is nearest to in the mean.
+    Of very many photos, `settings.compared` spread evenly among them form the clusters; each of the others joins the cluster whose
+    members it is nearest to in the mean.
     """
-    brightness = seen.colour.sum(axis=1)
-    good = np.flatnonzero(~seen.clipped & (brightness > DIM))
-    ends = np.searchsorted(seen.photo[good], np.arange(photos + 1))
-    point, log = seen.point[good], np.log(brightness[good])
-    count = min(photos, COMPARED)
+    brightness = observations.colour.sum(axis=1)
+    good = np.flatnonzero(~observations.clipped & (brightness > settings.dim))
+    ends = np.searchsorted(observations.photo[good], np.arange(photos + 1))
+    point, log = observations.point[good], np.log(brightness[good])
+    count = min(photos, settings.compared)
     # one out of each of as many runs of photos, by chance: lights may take turns
     within = np.random.default_rng(0).random(count) if count < photos else 0.0
     chosen = ((np.arange(count) + within) * photos / count).astype(np.int64)
@@ -48,24 +70,27 @@ def first_clusters(seen: Observations, points: int, photos: int) -> np.ndarray:
     for row, k in enumerate(chosen):
         table[row, point[ends[k] : ends[k + 1]]] = log[ends[k] : ends[k + 1]]
     spread, overlaps = np.ones((photos, count)), np.zeros((photos, count), np.int64)
-    below = np.full(
-        photos, photos
-    )  # with chosen photos before itself alone is a chosen one compared: each pair once
+    # a chosen photo is compared with chosen ones before itself alone: each pair once
+    below = np.full(photos, photos)
     below[chosen] = chosen
-    _compare(table, chosen, below, ends, point, log.astype(np.float32), COMMON, spread, overlaps)
+    _compare(table, chosen, below, ends, point, log.astype(np.float32), settings.common, spread, overlaps)
     usual = np.median(overlaps[overlaps > 0]) if (overlaps > 0).any() else 0.0
-    apart = np.where(overlaps < 0.3 * usual, np.maximum(spread, UNRELATED), spread)
-    known = overlaps >= COMMON
-    among, told = np.tril(apart[chosen], -1), np.tril(known[chosen], -1)
-    labels = _average_linkage(among + among.T, CLUSTERS, told | told.T)
+    distance = np.where(
+        overlaps < settings.usual_overlap * usual, np.maximum(spread, settings.unrelated), spread
+    )
+    known = overlaps >= settings.common
+    among, among_known = np.tril(distance[chosen], -1), np.tril(known[chosen], -1)
+    labels = _average_linkage(
+        among + among.T, settings.clusters, settings.farthest, among_known | among_known.T
+    )
     if count == photos:
         return labels
     members = (labels[:, None] == np.arange(labels.max() + 1)).astype(np.float64)
     pairs = known @ members
-    mean = np.where(known, apart, 0.0) @ members / np.maximum(pairs, 1.0)
-    light = np.where(pairs > 0.0, mean, FARTHEST).argmin(axis=1)
-    light[chosen] = labels
-    return np.asarray(light)
+    mean = np.where(known, distance, 0.0) @ members / np.maximum(pairs, 1.0)
+    cluster = np.where(pairs > 0.0, mean, settings.farthest).argmin(axis=1)
+    cluster[chosen] = labels
+    return np.asarray(cluster)
 
 
 @njit_parallel
@@ -105,13 +130,12 @@ def _compare(
 
 def reassign_photos(
     target: np.ndarray,
-    log_irradiance: np.ndarray,
-    log_albedo: np.ndarray,
+    irradiance: np.ndarray,
     weight: np.ndarray,
-    seen: Observations,
-    light: np.ndarray,
-    known: np.ndarray,
+    observations: Observations,
+    lighting: Lighting,
     as_good: float,
+    settings: ClusterSettings = USUAL_CLUSTERS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move photos and join lights; returns the new light (K,) of each photo and which lights are kept.
 
@@ -119,12 +143,13 @@ def reassign_photos(
     mean of the photos' own ratios, since a photo that no light explains well would drown the others in a ratio of sums.
 
     Args:
-        target: (M, 3) log colours over exposure. log_irradiance: (C, J, 3). log_albedo: (C, 3).
+        target: (M, 3) log colours over exposure. irradiance: (C, J, 3), > 0. weight: (M, 3).
     """
-    residual, shows = _residuals(target, log_irradiance, log_albedo, weight, seen, len(light), known)
-    own = residual[np.arange(len(light)), light]
-    moved = np.where(residual.min(axis=1) < BETTER * own, residual.argmin(axis=1), light)
-    log = np.log(np.maximum(residual, SMALLEST))
+    cluster = lighting.cluster
+    residual, shows = _residuals(target, np.log(irradiance), weight, observations, lighting, settings.outlier)
+    present = residual[np.arange(len(cluster)), cluster]
+    moved = np.where(residual.min(axis=1) < settings.better * present, residual.argmin(axis=1), cluster)
+    log = np.log(np.maximum(residual, settings.smallest))
     for j in np.argsort(np.bincount(moved, minlength=residual.shape[1]), kind="stable"):
         members = np.flatnonzero(moved == j)
         others = np.setdiff1d(moved, j)
@@ -141,50 +166,55 @@ def reassign_photos(
 def _residuals(
     target: np.ndarray,
     log_irradiance: np.ndarray,
-    log_albedo: np.ndarray,
     weight: np.ndarray,
-    seen: Observations,
-    photos: int,
-    known: np.ndarray,
+    observations: Observations,
+    lighting: Lighting,
+    outlier: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(K, J) what each light leaves unexplained of each photo, up to the exposure that fits best, as a mean of absolute logs;
-    and (K,) which photos show anything, the others' are 0. Arguments as of `regroup`."""
+    and (K,) which photos show anything, the others' are 0. Arguments as of `reassign_photos`."""
+    photos, log_albedo = len(lighting.cluster), np.log(lighting.albedo)
     residual, shows = np.zeros((photos, log_irradiance.shape[1])), np.zeros(photos, bool)
-    ends = np.searchsorted(seen.photo, np.arange(photos + 1))
+    ends = np.searchsorted(observations.photo, np.arange(photos + 1))
     for k in range(photos):
         rows = np.arange(ends[k], ends[k + 1])
-        rows = rows[known[seen.point[rows]] & (weight[rows] > 0.0).all(axis=1)]
+        rows = rows[lighting.known[observations.point[rows]] & (weight[rows] > 0.0).all(axis=1)]
         if len(rows) == 0:
             continue
-        point, w = seen.point[rows], weight[rows]
-        left = (target[rows] - log_albedo[point])[:, None, :] - log_irradiance[point]
-        offset = (w[:, None] * left).sum(axis=(0, 2), keepdims=True) / w.sum()
-        residual[k] = (w[:, None] * np.minimum(np.abs(left - offset), OUTLIER)).sum(axis=(0, 2)) / w.sum()
+        point, w = observations.point[rows], weight[rows]
+        remainder = (target[rows] - log_albedo[point])[:, None, :] - log_irradiance[point]
+        offset = (w[:, None] * remainder).sum(axis=(0, 2), keepdims=True) / w.sum()
+        bounded = np.minimum(np.abs(remainder - offset), outlier)
+        residual[k] = (w[:, None] * bounded).sum(axis=(0, 2)) / w.sum()
         shows[k] = True
     return residual, shows
 
 
-def _average_linkage(apart: np.ndarray, groups: int, known: np.ndarray | None = None) -> np.ndarray:
-    """(N,) labels from 0 up: the closest two groups, by mean distance of their members, join until `groups` are left.
+def _average_linkage(
+    distances: np.ndarray, clusters: int, farthest: float, known: np.ndarray | None = None
+) -> np.ndarray:
+    """(N,) labels from 0 up: the closest two clusters, by mean distance of their members, join until `clusters` are left.
+
+    Not scipy's linkage, which has no distances that are unknown.
 
     Args:
-        apart: (N, N) distances. known: (N, N) bool, which of them count; groups between which none does join last.
+        distances: (N, N). known: (N, N) bool, which of them count; clusters between which none does join last.
     """
-    count = len(apart)
+    count = len(distances)
     labels = np.arange(count)
     pairs = np.ones((count, count)) if known is None else known.astype(np.float64)
-    distance = np.where(pairs > 0.0, apart, FARTHEST).astype(np.float64)
+    distance = np.where(pairs > 0.0, distances, farthest).astype(np.float64)
     np.fill_diagonal(distance, np.inf)
-    left = np.ones(count, bool)
-    for _ in range(max(count - groups, 0)):
+    alive = np.ones(count, bool)
+    for _ in range(max(count - clusters, 0)):
         i, j = np.unravel_index(np.argmin(distance), distance.shape)
-        left[j] = False
+        alive[j] = False
         labels[labels == j] = i
-        others = np.flatnonzero(left & (np.arange(count) != i))
+        others = np.flatnonzero(alive & (np.arange(count) != i))
         both = pairs[i, others] + pairs[j, others]
         total = pairs[i, others] * distance[i, others] + pairs[j, others] * distance[j, others]
         distance[i, others] = distance[others, i] = np.where(
-            both > 0.0, total / np.maximum(both, 1.0), FARTHEST
+            both > 0.0, total / np.maximum(both, 1.0), farthest
         )
         pairs[i, others] = pairs[others, i] = both
         distance[j] = distance[:, j] = np.inf

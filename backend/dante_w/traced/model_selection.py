@@ -1,15 +1,12 @@
-"""Which parts of the light a scene requires.
+"""Which components of the light a scene requires.
 
-Whether photos differ in light and in exposure and show gloss is tried on held-out photos, with fits that cost little: few
-directions, a quarter of the points; several lights and one from the start, what is tried after that by a few last steps from
-the fit that has it. Bounced light follows from the mesh alone.
+Whether photos differ in light and in exposure and show specular reflection is tried on held-out photos, with fits that cost
+little: few directions, a quarter of the points; several lights and one from the start, what is tried after that by a few last
+steps from the fit that has it. Bounced light follows from the mesh alone.
 
-Several lights and one are compared with gloss or without, whichever suits each: gloss that is not there hides how much
-better several lights are (a matte object: +0.2 dB with it, +14.8 without). Under one light held-out photos tell gloss:
-they are re-rendered 2.3 and 3.3 dB better with it (squares summed over photos) where it is worth 4.5 and 1.7 dB of
-albedo (two rendered objects), and 1.1 dB worse where it darkens what lies in the shade (a real one). Under several
-lights they tell it only where they are far worse with it: on four rendered objects they wanted it off for two (by 0.7
-and 1.9 dB) where it is worth 2 and 3 dB of albedo after gain, since an error of level, which they cannot tell, hurts more with it.
+Several lights and one are compared with specular reflection or without, whichever suits each: reflection that is not there hides
+how much better several lights are. Under one light held-out photos tell whether there is some. Under several lights they tell it
+only where they are far worse with it, since an error of the albedo's scale, which they cannot tell, hurts more with it.
 """
 
 from __future__ import annotations
@@ -21,111 +18,156 @@ import numpy as np
 
 from dante_w.contract.protocol import YOU_CHOSE, Decision
 from dante_w.scene.held_out import choose_held_out
-from dante_w.traced.held_out import place
-from dante_w.traced.light_transport import LightTransport, coarser
-from dante_w.traced.shading_points import Observations, ShadingPoints
+from dante_w.traced.held_out import USUAL_HELD_OUT, HeldOutSettings, fit_held_out
+from dante_w.traced.light_transport import coarser
 from dante_w.traced.solver.solve_lights import COARSE, solve_lights
-from dante_w.traced.state import Components, Lighting
+from dante_w.traced.state import Components, Lighting, TracedScene
 from dante_w.traced.sun import PEAK, SPHERE, peaks
 
-#: A part stays off if held-out photos gain no more than this by it, in dB; tried in this order, exposures with what is
-#: modelled by then. Under one light, exposures that are all alike still gain half a dB, and are worth 0.04 dB of albedo; what
-#: gloss cannot tell moves photos by hundredths there.
-WORTH = {"clusters": 1.0, "specular": 0.3, "exposures": 1.0}
-#: What gloss is to gain instead under several lights, where all surfaces are taken to reflect at a grazing angle: photos
-#: wanted it off wrongly by up to 1.9 dB, and rightly by 16.6.
-WORTH_OF_GLOSS = -4.0
-#: One in this many points takes part in a trial.
-ONE_IN = 4
-#: Share of a point's light that comes from the mesh itself, from which on it is modelled, as a mean over points.
-BOUNCED = 0.02
+
+@dataclass(frozen=True)
+class SelectionSettings:
+    """What a component has to be worth, in dB of held-out photos. Chosen on rendered objects and a real capture, see
+    docs/benchmarks.md.
+
+    Attributes:
+        clusters: several lights instead of one.
+        specular: under one light.
+        exposures: one for each photo; exposures that are all alike still gain half a dB.
+        specular_of_several: under several lights, where all surfaces are taken to reflect at a grazing angle: photos want it
+            off wrongly by a little, and rightly by far more.
+        one_in: one in this many points takes part in a trial.
+        bounced: mean share of a point's light that comes from the mesh itself, from which on that is modelled.
+        held_out: how held-out photos are scored.
+    """
+
+    clusters: float = 1.0
+    specular: float = 0.3
+    exposures: float = 1.0
+    specular_of_several: float = -4.0
+    one_in: int = 4
+    bounced: float = 0.02
+    held_out: HeldOutSettings = USUAL_HELD_OUT
+
+
+USUAL_SELECTION = SelectionSettings()
+#: Components that are tried, in this order; exposures with what is modelled by then.
+TRIED = ("clusters", "specular", "exposures")
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """Whether a part is modelled, and why that is no question."""
+    """Whether a component is modelled, and why that is not tried."""
 
     on: bool
     reason: str = YOU_CHOSE
 
 
+@dataclass(frozen=True)
+class Selection:
+    """What is modelled, why, and the lighting that was found with it, with few directions, if it was tried."""
+
+    components: Components
+    decisions: list[Decision]
+    lighting: Lighting | None
+
+
 def select_components(
-    cameras: np.ndarray,
-    points: ShadingPoints,
-    seen: Observations,
-    transfer: LightTransport,
-    exposures: np.ndarray | None,
-    groups: np.ndarray,
+    scene: TracedScene,
     fixed: Mapping[str, Fixed],
     seed: int,
     progress: Callable[[int, int], None],
-) -> tuple[Components, list[Decision], Lighting | None]:
-    """Decide what to model; returns also the lights that were found with it, if it was tried, of `COARSE` directions.
+    settings: SelectionSettings = USUAL_SELECTION,
+) -> Selection:
+    """Decide what to model.
 
     Args:
-        exposures: (K,) log exposures from the photos' files, if they tell.
-        groups: (K,) a first guess of which photos share a light.
-        fixed: what is decided already, by the name of the part.
+        fixed: what is decided already, by the name of the component.
+        progress: is told how many trials are done, and of how many.
     """
-    few, _ = coarser(transfer, COARSE)
-    fewer = seen.of(seen.point % ONE_IN == 0)
-    photos = len(cameras)
-    held_out = choose_held_out(photos)
-    shown = fewer.of(~np.isin(fewer.photo, held_out))
-    bounced = float(transfer.weight.sum() + transfer.lost.sum()) / len(points)
-    parts = replace(Components(bounce=bounced >= BOUNCED), **{name: part.on for name, part in fixed.items()})
-    trials = [name for name in WORTH if name not in fixed and len(held_out)]
+    observations = scene.observations
+    fewer = observations.take(observations.point % settings.one_in == 0)
+    coarse = replace(scene, transport=coarser(scene.transport, COARSE)[0], observations=fewer)
+    held_out = choose_held_out(len(scene.cameras))
+    shown = fewer.take(~np.isin(fewer.photo, held_out))
+    bounced = float(scene.transport.weight.sum() + scene.transport.lost.sum()) / len(scene.points)
+    by_user = {name: each.on for name, each in fixed.items()}
+    components = replace(Components(bounce=bounced >= settings.bounced), **by_user)
+    trials = [name for name in TRIED if name not in fixed and len(held_out)]
 
     scores: dict[Components, float] = {}
     fits: dict[Components, Lighting] = {}
 
-    def score(trial: Components, begun: Components | None = None) -> float:
-        """By a fit from the start, or from one that has `begun`."""
+    def score(trial: Components, start: Components | None = None) -> float:
+        """By a fit from the beginning, or from the one that has `start`."""
         if trial not in scores:
             progress(len(scores) + 1, 2 * len(trials) + 1)
-            shared = points, transfer, shown, cameras, groups, seed, _ignore, trial, None, exposures
-            fits[trial] = lights = solve_lights(*shared, fits[begun] if begun else None, fine=False)
-            found = place(lights, points, few, fewer, cameras, held_out, trial)[1]
-            scores[trial] = -np.inf if found is None else found
+            fits[trial] = lighting = solve_lights(
+                scene.points,
+                scene.transport,
+                shown,
+                scene.cameras,
+                scene.clusters,
+                seed,
+                _ignore,
+                trial,
+                None,
+                scene.exposures,
+                fits[start] if start else None,
+                fine=False,
+            )
+            reached = fit_held_out(lighting, coarse, held_out, trial, settings.held_out)[1]
+            scores[trial] = -np.inf if reached is None else reached
         return scores[trial]
 
     def best(trial: Components) -> float:
-        """With gloss or without, where that is open."""
-        return max(
-            score(trial), score(replace(trial, specular=False), trial) if "specular" in trials else -np.inf
-        )
+        """With specular reflection or without, where that is open."""
+        matte = replace(trial, specular=False)
+        return max(score(trial), score(matte, trial) if "specular" in trials else -np.inf)
 
     gains: dict[str, float] = {}
     for name in trials:
-        without = replace(parts, **{name: False})
-        reached = best(parts) if name == "clusters" else score(parts)
+        without = replace(components, **{name: False})
+        reached = best(components) if name == "clusters" else score(components)
         if not np.isfinite(reached):
             break
-        gains[name] = reached - (best(without) if name == "clusters" else score(without, parts))
-        worth = WORTH_OF_GLOSS if name == "specular" and parts.clusters else WORTH[name]
+        gains[name] = reached - (best(without) if name == "clusters" else score(without, components))
+        several = name == "specular" and components.clusters
+        worth = settings.specular_of_several if several else getattr(settings, name)
         if gains[name] <= worth:
-            parts = without
+            components = without
     progress(1, 1)
-    fit = fits.get(parts)
+    fit = fits.get(components)
     brightest = float(peaks(fit).max()) if fit else None
     if brightest is not None and "sun" not in fixed:
-        parts = replace(parts, sun=brightest >= PEAK * COARSE / SPHERE)
+        components = replace(components, sun=brightest >= PEAK * COARSE / SPHERE)
+    evidence = _Evidence(gains, bounced, brightest)
     decisions = [
-        _decision(name, getattr(parts, name), fixed, gains, bounced, brightest) for name in vars(Components())
+        _decision(name, getattr(components, name), fixed, evidence, settings) for name in vars(components)
     ]
-    return parts, decisions, fit
+    return Selection(components, decisions, fit)
 
 
 def _ignore(step: int, steps: int) -> None:
     pass
 
 
+@dataclass(frozen=True)
+class _Evidence:
+    """What the decisions rest on: `gains` in dB of held-out photos by component, the `bounced` share of light, and how many times as
+    bright as its mean the `brightest` part of a light is."""
+
+    gains: Mapping[str, float]
+    bounced: float
+    brightest: float | None
+
+
 _COSTS = {
-    "clusters": "seconds grow with the number of lights, squared",
+    "clusters": "time grows with the square of the number of lights",
     "exposures": "one number a photo",
     "bounce": "a fifth of the time for lights, 100 MB for ten million rays",
     "specular": "half of the time for lights",
-    "sun": "seconds for each light that has a peak; rays of their own for its photos' pixels",
+    "sun": "seconds for each light that has one, and rays for each pixel of its photos",
 }
 _ON = {
     "clusters": "several lights",
@@ -144,23 +186,22 @@ _OFF = {
 
 
 def _decision(
-    name: str,
-    on: bool,
-    fixed: Mapping[str, Fixed],
-    gains: Mapping[str, float],
-    bounced: float,
-    brightest: float | None,
+    name: str, on: bool, fixed: Mapping[str, Fixed], evidence: _Evidence, settings: SelectionSettings
 ) -> Decision:
+    gain = evidence.gains.get(name)
     if name in fixed:
         reason = fixed[name].reason
-    elif name == "specular" and on and gains.get(name, np.inf) <= WORTH[name]:
-        reason = f"all surfaces reflect at a grazing angle, and held-out photos hardly tell: {gains[name]:+.1f} dB with it"
-    elif name in gains:
-        reason = f"held-out photos are re-rendered {gains[name]:+.1f} dB with it"
+    elif name == "specular" and on and gain is not None and gain <= settings.specular:
+        reason = (
+            "all surfaces reflect at grazing angles, so it stays on, although photos left out for checking "
+            f"are predicted {gain:+.1f} dB with it"
+        )
+    elif gain is not None:
+        reason = f"photos left out for checking are predicted {gain:+.1f} dB better with it"
     elif name == "bounce":
-        reason = f"{100.0 * bounced:.0f}% of what points face is the mesh itself"
-    elif name == "sun" and brightest is not None:
-        reason = f"the brightest part of a light is {brightest:.0f} times as bright as the mean"
+        reason = f"{100.0 * evidence.bounced:.0f}% of what the surface faces is the mesh itself"
+    elif name == "sun" and evidence.brightest is not None:
+        reason = f"the brightest part of a light is {evidence.brightest:.0f} times as bright as its mean"
     else:
-        reason = "no held-out photo tells"
+        reason = "too few photos to check"
     return Decision(name, (_ON if on else _OFF)[name], reason, _COSTS[name])

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from dante_w.contract.scene_folder import Frame
-from dante_w.contract.vocabulary import COMPONENTS
+from dante_w.contract.vocabulary import COMPONENTS, LIGHT_TRANSPORT
 from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.scene3d import Scene3D
 from dante_w.run.checkpoints import Checkpoints
@@ -17,27 +17,15 @@ from dante_w.scene.exposure import relative_log_exposures
 from dante_w.scene.held_out import choose_held_out
 from dante_w.traced.albedo_prior import fuse_priors
 from dante_w.traced.albedo_texture import albedo_texture
-from dante_w.traced.held_out import place
+from dante_w.traced.held_out import fit_held_out
 from dante_w.traced.light_clusters import first_clusters
 from dante_w.traced.light_transport import LightTransport, trace_light_transport, with_suns
-from dante_w.traced.shading_points import Observations, ShadingPoints, gather, thinned
+from dante_w.traced.observations import thinned
+from dante_w.traced.settings import TracedSettings
+from dante_w.traced.shading_points import gather
 from dante_w.traced.solver.solve_lights import evidence, solve_lights
-from dante_w.traced.state import AlbedoPrior, Components, Lighting
+from dante_w.traced.state import Components, Lighting, TracedScene
 from dante_w.traced.sun import find_and_add_suns
-
-
-@dataclass(frozen=True)
-class TracedScene:
-    """What the photos show of the mesh's shading points, and how light reaches these; `groups` (K,) is the first guess of
-    which photos share a light."""
-
-    cameras: np.ndarray
-    points: ShadingPoints
-    seen: Observations
-    transfer: LightTransport
-    prior: AlbedoPrior | None
-    exposures: np.ndarray | None
-    groups: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -45,121 +33,121 @@ class SolvedLighting:
     """The lights of all photos, directions of `suns` (S, 3), and the held-out photos' PSNR in dB under them, if it could be
     taken."""
 
-    lights: Lighting
+    lighting: Lighting
     suns: np.ndarray
     score: float | None
 
 
-def examine(
+def trace_scene(
     cache: RayCache,
     scene3d: Scene3D,
     frames: list[Frame],
-    directions: int,
+    settings: TracedSettings,
     prior_weight: float,
     progress: Progress,
-    finer: int = 1,
 ) -> TracedScene:
-    """Average the photos over shading points, `finer` times as many along either side of the texture, and trace light between
-    them."""
+    """Average the photos over shading points, and trace light between them."""
     cameras = scene3d.frame.normalise(np.stack([frame.camera_to_world[:3, 3] for frame in frames]))
-    progress.update("transfer", 0.0, 1.0)
-    points, seen = gather(cache, cameras, finer=finer)
-    transfer = trace_light_transport(
+    progress.update(LIGHT_TRANSPORT, 0.0, 1.0)
+    points, observations = gather(cache, cameras, settings.shading)
+    transport = trace_light_transport(
         points,
         scene3d.caster,
         cache.surface.uvs.numpy(),
-        directions,
-        lambda done: progress.update("transfer", done, 1.0),
+        settings.directions,
+        lambda done: progress.update(LIGHT_TRANSPORT, done, 1.0),
+        settings.transport,
     )
-    prior = fuse_priors(cache, points, prior_weight) if prior_weight > 0.0 else None
+    prior = fuse_priors(cache, points, prior_weight, settings.prior) if prior_weight > 0.0 else None
     exposures = relative_log_exposures(frames)
-    groups = first_clusters(seen, len(points), len(frames))
-    seen = seen.of(
-        thinned(seen.point, seen.photo)
-    )  # from here on, photos need not be compared with each other
-    return TracedScene(cameras, points, seen, transfer, prior, exposures, groups)
+    clusters = first_clusters(observations, len(points), len(frames), settings.clusters)
+    # from here on, photos need not be compared with each other
+    keep = thinned(observations.point, observations.photo, settings=settings.shading.thinning)
+    return TracedScene(cameras, points, observations.take(keep), transport, prior, exposures, clusters)
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What is asked of the texture: `size` texels along a side, the `components` that are modelled, the lighting to go on from,
+    if any, and the `seed`."""
+
+    size: int
+    components: Components
+    start: Lighting | None
+    seed: int
 
 
 def recover_albedo(
-    of: TracedScene,
+    scene: TracedScene,
     cache: RayCache,
     scene3d: Scene3D,
-    size: int,
-    parts: Components,
-    begun: Lighting | None,
-    seed: int,
+    wanted: Recovery,
+    settings: TracedSettings,
     progress: Progress,
-    kept: Checkpoints | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """The albedo (size, size, 3), float32 and linear, and facts for the report.
 
-    Lights are solved without the held-out photos, going on from what the plan has `begun` if that is given; held-out photos
-    then get the light and exposure that fit them best, and give their colour to the texture like all others.
+    Lights are solved without the held-out photos; held-out photos then get the light and exposure that fit them best, and give
+    their colour to the texture like all others.
     """
-    assert cache.footprint is not None
-    photos = len(of.cameras)
     progress.update("lights", 0.0, 1.0)
-    held_out = choose_held_out(photos)
-
-    caster = scene3d.caster if parts.sun else None
+    components = wanted.components
+    caster = scene3d.caster if components.sun else None
 
     def solve() -> SolvedLighting:
-        shown = of.seen.of(~np.isin(of.seen.photo, held_out))
-        lights = solve_lights(
-            of.points,
-            of.transfer,
+        held_out = choose_held_out(len(scene.cameras))
+        shown = scene.observations.take(~np.isin(scene.observations.photo, held_out))
+        lighting = solve_lights(
+            scene.points,
+            scene.transport,
             shown,
-            of.cameras,
-            of.groups,
-            seed,
+            scene.cameras,
+            scene.clusters,
+            wanted.seed,
             lambda step, steps: progress.update("lights", step, steps),
-            parts,
-            of.prior,
-            of.exposures,
-            begun,
+            components,
+            scene.prior,
+            scene.exposures,
+            wanted.start,
         )
-        transfer = of.transfer
+        transport = scene.transport
         if caster:
-            transfer, lights = find_and_add_suns(
-                evidence(of.points, shown, of.cameras, parts, of.prior, of.exposures),
-                transfer,
-                lights,
-                caster,
-                seed,
-            )
-        found, score = place(lights, of.points, transfer, of.seen, of.cameras, held_out, parts)
-        return SolvedLighting(found, transfer.directions[transfer.parts :], score)
+            known = evidence(scene.points, shown, scene.cameras, components, scene.prior, scene.exposures)
+            transport, lighting = find_and_add_suns(known, transport, lighting, caster, wanted.seed)
+        sunny = replace(scene, transport=transport)
+        fitted, score = fit_held_out(lighting, sunny, held_out, components, settings.selection.held_out)
+        return SolvedLighting(fitted, transport.directions[transport.parts :], score)
 
-    placed = kept.done("lights", SolvedLighting, solve) if kept else solve()
-    lights = placed.lights
-    transfer = with_suns(of.transfer, of.points, caster, placed.suns) if caster else of.transfer
+    solved = checkpoints.done("lights", SolvedLighting, solve) if checkpoints else solve()
+    lighting = solved.lighting
+    if caster:
+        transport = with_suns(scene.transport, scene.points, caster, solved.suns, settings.transport)
+        scene = replace(scene, transport=transport)
+    making = settings.albedo if components.specular else replace(settings.albedo, specular=None)
     texture = albedo_texture(
         cache,
-        cache.footprint,
-        of.points,
-        transfer,
-        lights,
-        of.cameras,
-        size,
+        scene,
+        lighting,
+        wanted.size,
         lambda done: progress.update("albedo", done, 1.0),
-        of.seen,
         caster,
-        parts.specular,
+        making,
     )
     return texture, {
-        "parts": {each.key: getattr(parts, each.name) for each in COMPONENTS},
-        "lights": [int(light) for light in lights.cluster],
-        "suns": _suns(transfer, lights),
-        "shading_points": len(of.points),
-        "held_out_psnr": placed.score,
-        "setbacks": {"lights": [asdict(each) for each in lights.setbacks]},
+        "parts": {each.key: getattr(components, each.name) for each in COMPONENTS},
+        "lights": [int(cluster) for cluster in lighting.cluster],
+        "suns": _suns(scene.transport, lighting),
+        "shading_points": len(scene.points),
+        "held_out_psnr": solved.score,
+        "setbacks": {"lights": [asdict(each) for each in lighting.setbacks]},
     }
 
 
-def _suns(transfer: LightTransport, lights: Lighting) -> list[dict[str, Any]]:
+def _suns(transport: LightTransport, lighting: Lighting) -> list[dict[str, Any]]:
     """For the report: which light each sun belongs to, and where it stands in the scene's axes."""
-    radiance = lights.radiance[:, transfer.parts :].mean(axis=2)
+    radiance = lighting.radiance[:, transport.parts :].mean(axis=2)
     return [
         {"light": int(radiance[:, number].argmax()), "direction": [round(float(x), 4) for x in direction]}
-        for number, direction in enumerate(transfer.directions[transfer.parts :])
+        for number, direction in enumerate(transport.directions[transport.parts :])
     ]

@@ -1,4 +1,4 @@
-"""The sheen of a rough dielectric surface under traced light: what photos show beside the diffuse colour.
+"""Specular reflection of a rough dielectric surface under traced light: what photos show beside the diffuse colour.
 
 Cook-Torrance with the GGX distribution, Smith's shadowing in Schlick's form and Schlick's Fresnel term (Karis, "Real
 Shading in Unreal Engine 4", 2013), for one roughness and one reflectance of the whole scene.
@@ -6,44 +6,59 @@ Shading in Unreal Engine 4", 2013), for one roughness and one reflectance of the
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import prange
 
 from dante_w.core.jit import njit_parallel_fast
+from dante_w.traced.light_transport import LightTransport
 
-#: GGX alpha, the square of roughness 0.7, and reflectance at normal incidence: unpolished things.
-ALPHA, REFLECTANCE = 0.49, 0.024
+
+@dataclass(frozen=True)
+class SpecularSettings:
+    """The one material whose reflections are modelled.
+
+    Attributes:
+        alpha: GGX alpha, the square of roughness 0.7: unpolished things.
+        reflectance: at normal incidence (F0).
+    """
+
+    alpha: float = 0.49
+    reflectance: float = 0.024
+
+
+USUAL_SPECULAR = SpecularSettings()
 
 
 def specular_radiance(
     point: np.ndarray,
-    light: np.ndarray,
+    cluster: np.ndarray,
     towards: np.ndarray,
     normals: np.ndarray,
-    directions: np.ndarray,
-    visible: np.ndarray,
+    transport: LightTransport,
     radiance: np.ndarray,
-    suns: int = 0,
+    settings: SpecularSettings = USUAL_SPECULAR,
 ) -> np.ndarray:
-    """(M, 3) float32 linear colour that M observations owe to gloss.
+    """(M, 3) float32 linear colour that M observations owe to specular reflection, at an exposure of 1.
 
     Args:
-        point: (M,) indices of shading points. light: (M,) indices of lights.
-        towards: (M, 3) unit vectors to the camera. normals: (C, 3) of the points.
-        directions: (D, 3). visible: (C, D). radiance: (J, D, 3) of the lights. suns: see `Transfer`.
+        point: (M,) indices of shading points. cluster: (M,) indices of lights.
+        towards: (M, 3) unit vectors to the camera. normals: (C, 3) unit normals of the points.
+        radiance: (J, D, 3) of the lights.
     """
     out = np.empty((len(point), 3), np.float32)
     _specular_radiance(
         point,
-        light,
+        cluster,
         np.asarray(towards, np.float32),
         np.asarray(normals, np.float32),
-        np.ascontiguousarray(directions.T, np.float32),
-        visible,
+        np.ascontiguousarray(transport.directions.T, np.float32),
+        transport.visible,
         np.ascontiguousarray(np.moveaxis(radiance, 2, 1), np.float32),
-        np.float32(ALPHA),
-        np.float32(REFLECTANCE),
-        np.float32(1.0 / (len(directions) - suns)),
+        np.float32(settings.alpha),
+        np.float32(settings.reflectance),
+        np.float32(1.0 / transport.parts),
         out,
     )
     return out
@@ -63,7 +78,8 @@ def _specular_radiance(
     part: float,
     out: np.ndarray,
 ) -> None:
-    """As `sheen`, with directions (3, D), each one `part` of the sphere, and radiance (J, 3, D): the inner loop is SIMD in float32, so it has no branch."""
+    """As `specular_radiance`, with directions (3, D), each one `part` of the sphere, and radiance (J, 3, D): the inner loop is SIMD
+    in float32, so it has no branch."""
     zero, one = np.float32(0.0), np.float32(1.0)
     k = np.float32(0.5) * alpha
     sharp = alpha * alpha

@@ -8,6 +8,8 @@ import numpy as np
 
 from dante_w.run.setbacks import Setback
 from dante_w.traced.light_transport import LightTransport
+from dante_w.traced.observations import Observations
+from dante_w.traced.shading_points import ShadingPoints
 
 #: No colour, irradiance or albedo is taken to be less (linear).
 FAINTEST = 1e-5
@@ -66,3 +68,26 @@ class Lighting:
         """(C, J, 3) at the points."""
         direct = np.tensordot(transfer.direct, self.radiance, axes=(1, 1))
         return np.maximum(direct + self.bounce, np.float32(FAINTEST))
+
+
+@dataclass(frozen=True)
+class TracedScene:
+    """What the photos show of the mesh's shading points, and how light reaches these.
+
+    Attributes:
+        cameras: (K, 3) the photos' centres in the unit cube.
+        points: the shading points.
+        observations: what all photos show of them.
+        transport: how light reaches them.
+        prior: what is known of their albedo beforehand.
+        exposures: (K,) natural log of the photos' exposures where all their files name one (EXIF).
+        clusters: (K,) a first guess of which photos share a light, rather too many lights than too few.
+    """
+
+    cameras: np.ndarray
+    points: ShadingPoints
+    observations: Observations
+    transport: LightTransport
+    prior: AlbedoPrior | None
+    exposures: np.ndarray | None
+    clusters: np.ndarray

@@ -13,9 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dante_w.core.arrays import sums
 from dante_w.rays.raycast import Raycaster
-from dante_w.traced.light_transport import LightTransport, sunlit, with_suns
-from dante_w.traced.shading_points import Observations, ShadingPoints
+from dante_w.traced.light_transport import LightTransport, sun_visibility, with_suns
+from dante_w.traced.observations import Observations
+from dante_w.traced.shading_points import ShadingPoints
 from dante_w.traced.solver.smoothness_prior import agreement
 from dante_w.traced.solver.solve_lights import (
     FIRST_STEPS,
@@ -25,7 +27,6 @@ from dante_w.traced.solver.solve_lights import (
     explain,
     observed_specular,
     refine,
-    sums,
 )
 from dante_w.traced.state import FAINTEST, Lighting
 
@@ -172,7 +173,7 @@ def _search(of: _Problem, points: ShadingPoints, transfer: LightTransport, caste
         around = _ring(centre, angle)
         for direction in around if number else [centre, *around]:
             facing = np.maximum(points.normal @ direction, 0.0)
-            column = (facing * sunlit(points.position, points.normal, caster, direction))[:, None]
+            column = (facing * sun_visibility(points.position, points.normal, caster, direction))[:, None]
             gain, answer = _gain(of, column)
             if gain > best:
                 best, centre, change = gain, direction, answer

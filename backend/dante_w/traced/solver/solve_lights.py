@@ -21,7 +21,8 @@ import torch
 from dante_w.contract.errors import BadInput
 from dante_w.traced.light_clusters import reassign_photos
 from dante_w.traced.light_transport import LightTransport, bounced, coarser
-from dante_w.traced.shading_points import Observations, ShadingPoints
+from dante_w.traced.observations import Observations
+from dante_w.traced.shading_points import ShadingPoints
 from dante_w.traced.solver.normal_equations import (
     LEVEL,
     OPEN_LEVEL,
@@ -234,12 +235,10 @@ def refine(
         if done in REASSIGN and of.parts.clusters:
             light, kept = reassign_photos(
                 told.over_light + np.log(irradiance)[of.seen.point, lights.cluster[of.seen.photo]],
-                np.log(irradiance),
-                np.log(lights.albedo),
+                irradiance,
                 of.weight,
                 of.seen,
-                lights.cluster,
-                lights.known,
+                lights,
                 REASSIGN[done],
             )
             lights = replace(
@@ -370,10 +369,8 @@ def observed_specular(of: Evidence, transfer: LightTransport, lights: Lighting) 
         lights.cluster[of.seen.photo],
         of.towards,
         of.points.normal,
-        transfer.directions,
-        transfer.visible,
+        transfer,
         lights.radiance,
-        transfer.suns,
     )
 
 
@@ -391,8 +388,3 @@ def _first_exposures(seen: Observations, weight: np.ndarray, photos: int) -> np.
     total = np.bincount(seen.photo, trust, photos)
     mean = np.bincount(seen.photo, trust * brightness, photos) / np.maximum(total, 1e-9)
     return np.where(total > 0.0, mean - mean[total > 0.0].mean(), 0.0)
-
-
-def sums(values: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
-    """(count, 3) float32: the rows (M, 3) added up by index (M,)."""
-    return np.stack([np.bincount(index, channel, count) for channel in values.T], axis=1).astype(np.float32)
