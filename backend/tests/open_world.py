@@ -6,11 +6,13 @@ import dataclasses
 
 import numpy as np
 from dante_w.traced.light_transport import LightTransport, sphere
-from dante_w.traced.shading_points import SIDE, Observations, ShadingPoints
+from dante_w.traced.observations import Observations
+from dante_w.traced.shading_points import USUAL_SHADING, ShadingPoints
 from dante_w.traced.solver.solve_lights import BRIGHTEST, TOP
 from dante_w.traced.specular import specular_radiance
 
 DIRECTIONS, POINTS, PHOTOS, LIGHTS = 64, 1500, 18, 3
+SIDE = USUAL_SHADING.side
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +72,7 @@ def make_world(
     towards = unit(cameras[photo] - position[point]).astype(np.float32)
     light = of_photo[photo]
     diffuse = albedo[point] * np.tensordot(direct, radiance, axes=(1, 1))[point, light]
-    gloss = specular_radiance(point, light, towards, normals, directions, visible, radiance)
+    gloss = specular_radiance(point, light, towards, normals, transfer, radiance)
     colour = np.exp(exposure)[photo, None] * (diffuse + (0.0 if matte else gloss))
     colour *= np.exp(random.normal(0.0, 0.03, colour.shape))
     count = len(photo)

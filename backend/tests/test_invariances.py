@@ -15,20 +15,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import CAMERA, cast, photograph, pose
-from dante_w.commands import recover_traced
 from dante_w.commands.cli import main
 from dante_w.contract.scene_folder import Frame, Scene, write_scene
 from dante_w.core.color import linear_from_srgb_array, srgb_from_linear_array
-from dante_w.field import presets
-from dante_w.field.fields import ModelSpec
-from dante_w.field.hash_encoding import GridSpec
-from dante_w.field.optimise import Schedule
 from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.raycast import Frame3D
 from dante_w.scene.images import read_texture, write_exr
 from dante_w.scene.mesh import Mesh, write_obj
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from small_settings import small_preset
 
 SIZE, PHOTOS = 48, 6
 #: PSNR in dB that is promised, by what is changed and by model.
@@ -96,12 +92,11 @@ def make_world() -> World:
     return World(Mesh(vertices, faces, vertices[faces][..., :2].copy()), poses, photos)
 
 
+SMALL = small_preset(SIZE, 150, 30)
+
+
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    spec = ModelSpec(GridSpec(2, 6, 2, 4, 64, 12), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4)
-    preset = presets.Preset(SIZE, spec, Schedule(150, 2048, 1e-2), Schedule(30, 2048, 2e-3))
-    monkeypatch.setitem(presets.PRESETS, "standard", preset)
-    monkeypatch.setitem(recover_traced.DIRECTIONS, "standard", 32)
     for module in ("solver.solve_lights", "model_selection"):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
 
@@ -133,7 +128,7 @@ def recovered(world: World, model: str) -> bytes:
             "exr",
             "--json",
         ]
-        assert main(command) == 0
+        assert main(command, settings=SMALL) == 0
         return (Path(name) / "out/albedo.exr").read_bytes()
 
 

@@ -9,9 +9,11 @@ import pytest
 from dante_w.contract.protocol import Decision
 from dante_w.scene.held_out import choose_held_out
 from dante_w.traced.light_clusters import first_clusters
-from dante_w.traced.model_selection import BOUNCED, WORTH, Fixed, select_components
-from dante_w.traced.state import Components
+from dante_w.traced.model_selection import TRIED, USUAL_SELECTION, Fixed, SelectionSettings, select_components
+from dante_w.traced.state import Components, TracedScene
 from open_world import PHOTOS, POINTS, World, make_world
+
+BOUNCED = USUAL_SELECTION.bounced
 
 
 @pytest.fixture(autouse=True)
@@ -20,21 +22,21 @@ def few_directions(monkeypatch):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 32)
 
 
-def planned(world: World, **chosen: bool) -> tuple[Components, dict[str, Decision]]:
+def planned(
+    world: World, settings: SelectionSettings = USUAL_SELECTION, **chosen: bool
+) -> tuple[Components, dict[str, Decision]]:
     said: list[float] = []
-    parts, decisions, begun = select_components(
-        world.cameras,
-        world.points,
-        world.seen,
-        world.transfer,
-        None,
-        first_clusters(world.seen, len(world.points), len(world.cameras)),
+    clusters = first_clusters(world.seen, len(world.points), len(world.cameras))
+    selection = select_components(
+        TracedScene(world.cameras, world.points, world.seen, world.transfer, None, None, clusters),
         {name: Fixed(on) for name, on in chosen.items()},
         0,
         lambda done, total: said.append(done / total),
+        settings,
     )
+    parts, decisions, begun = selection.components, selection.decisions, selection.lighting
     assert said == sorted(said) and said[-1] == 1.0
-    tried = len(choose_held_out(len(world.cameras))) and not set(WORTH) <= set(chosen)
+    tried = len(choose_held_out(len(world.cameras))) and not set(TRIED) <= set(chosen)
     assert (begun is not None) == bool(tried)
     if begun:
         assert (len(begun.radiance) > 1) == parts.clusters or chosen.get("clusters")
@@ -76,12 +78,12 @@ def test_under_several_lights_gloss_is_modelled_unless_photos_are_far_worse_with
     assert "dB" in said["specular"].reason
 
 
-def test_under_several_lights_gloss_stays_where_photos_hardly_tell(monkeypatch):
-    monkeypatch.setattr("dante_w.traced.model_selection.WORTH_OF_GLOSS", -100.0)
-    parts, said = planned(make_world(3, 0.35, matte=True))
+def test_under_several_lights_gloss_stays_where_photos_hardly_tell():
+    patient = SelectionSettings(specular_of_several=-100.0)
+    parts, said = planned(make_world(3, 0.35, matte=True), patient)
     assert parts.clusters
     assert parts.specular
-    assert "hardly tell: -" in said["specular"].reason
+    assert "it stays on, although" in said["specular"].reason and "-" in said["specular"].reason
 
 
 def test_what_the_user_says_stands():
@@ -109,10 +111,10 @@ def test_light_from_the_mesh_counts_from_a_share_on(share):
 
 def test_too_few_photos_to_try_anything():
     world = make_world()
-    few = dataclasses.replace(world, cameras=world.cameras[:4], seen=world.seen.of(world.seen.photo < 4))
+    few = dataclasses.replace(world, cameras=world.cameras[:4], seen=world.seen.take(world.seen.photo < 4))
     parts, said = planned(few)
     assert parts.clusters and parts.exposures
-    assert said["clusters"].reason == said["exposures"].reason == "no held-out photo tells"
+    assert said["clusters"].reason == said["exposures"].reason == "too few photos to check"
 
 
 def test_held_out_photos_that_show_nothing():
@@ -121,4 +123,4 @@ def test_held_out_photos_that_show_nothing():
     clipped = np.isin(world.seen.photo, [4, 13])
     parts, said = planned(dataclasses.replace(world, seen=dataclasses.replace(world.seen, clipped=clipped)))
     assert PHOTOS == 18 and parts.clusters and parts.exposures
-    assert said["clusters"].reason == "no held-out photo tells"
+    assert said["clusters"].reason == "too few photos to check"

@@ -17,12 +17,15 @@ from dante_w.commands.plan_report import LEAST_SIDE, texture_side
 from dante_w.contract.protocol import YOU_CHOSE
 from dante_w.contract.scene_folder import Camera, Frame
 from dante_w.estimate import memory
+from dante_w.presets import PRESETS
 from dante_w.rays import footprint
 from dante_w.rays.footprint import GLANCE, glance
 from dante_w.rays.scene3d import Scene3D
 from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import read_mesh
+from dante_w.traced.settings import TracedSettings
 
+SMALL = dataclasses.replace(PRESETS["standard"], traced=TracedSettings(directions=32))
 MOST = 4096
 
 
@@ -34,7 +37,6 @@ def square(tmp_path):
 
 @pytest.fixture(autouse=True)
 def few_directions(monkeypatch):
-    monkeypatch.setitem(recover_traced.DIRECTIONS, "standard", 32)
     for module in ("solver.solve_lights", "model_selection"):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
 
@@ -109,7 +111,8 @@ def test_bounds_and_reasons(square):
 
 def planned(capsys, *arguments: str) -> tuple[dict, dict]:
     """The report of a plan, and its lines by what they decide."""
-    assert main(["plan", *arguments, "--json"]) == 0
+    small = None if "--preset" in arguments else SMALL
+    assert main(["plan", *arguments, "--json"], settings=small) == 0
     report = json.loads(capsys.readouterr().out.splitlines()[-1])["report"]
     return report, {line["what"]: line for line in report["plan"]}
 
@@ -137,7 +140,7 @@ def test_the_meshs_own_normals_are_taken_where_it_has_some(scene, capsys):
 def test_draft_leaves_suns_out_unless_the_user_wants_them(scene, capsys):
     preset = (str(scene), "--preset", "draft")
     sun = planned(capsys, *preset)[1]["sun"]
-    assert (sun["choice"], sun["reason"]) == ("none", "the preset draft")
+    assert (sun["choice"], sun["reason"]) == ("none", "the preset draft leaves it out")
     sun = planned(capsys, *preset, "--model", "sun")[1]["sun"]
     assert (sun["choice"], sun["reason"]) == ("looked for", YOU_CHOSE)
 

@@ -21,11 +21,9 @@ from dante_w.commands import recover_traced
 from dante_w.commands.cli import main
 from dante_w.contract.scene_folder import read_scene
 from dante_w.core.color import srgb_from_linear_array
-from dante_w.field import presets
-from dante_w.field.fields import ModelSpec
-from dante_w.field.hash_encoding import GridSpec
 from dante_w.field.optimise import Schedule
 from dante_w.scene.images import read_texture, write_exr, write_png
+from small_settings import small_preset
 
 SIZE = 64
 STAGES = ["scene", "rays", "transfer", "plan", "lights", "albedo", "bake", "write"]
@@ -39,24 +37,18 @@ PLAN = [
 FIELD_PLAN = ["texture", "light", "samples", "memory", "albedo", "embedding", "exposures"]
 
 
-@pytest.fixture(autouse=True)
-def small_preset(monkeypatch):
-    """`standard` at the size of the test scene."""
-    spec = ModelSpec(GridSpec(2, 6, 2, 4, 64, 12), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4)
-    small = presets.Preset(SIZE, spec, Schedule(300, 2048, 1e-2), Schedule(60, 2048, 2e-3))
-    monkeypatch.setitem(presets.PRESETS, "standard", small)
+SMALL = small_preset(SIZE)
 
 
 @pytest.fixture(autouse=True)
 def few_directions(monkeypatch):
     """Light from fewer directions: the time to solve for it grows with their cube."""
-    monkeypatch.setitem(recover_traced.DIRECTIONS, "standard", 32)
     for module in ("solver.solve_lights", "model_selection"):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
 
 
 def run(capsys, *arguments: str | Path) -> tuple[int, list[dict]]:
-    code = main([str(a) for a in arguments] + ["--json"])
+    code = main([str(a) for a in arguments] + ["--json"], settings=SMALL)
     return code, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
 
@@ -106,7 +98,7 @@ def test_the_papers_model_recovers_better_than_the_average(scene, tmp_path, caps
 
 
 def test_people_are_told_before_the_work_begins(scene, tmp_path, capsys):
-    assert main(["recover", str(scene), "--out", str(tmp_path / "out"), *FIELD]) == 0
+    assert main(["recover", str(scene), "--out", str(tmp_path / "out"), *FIELD], settings=SMALL) == 0
     line, *plan = capsys.readouterr().err.splitlines()
     assert line.startswith("standard: about ") and "dB" in line
     assert [line.split(":")[0] for line in plan] == FIELD_PLAN
@@ -244,7 +236,7 @@ def test_bad_input_ends_in_one_sentence_and_loses_nothing(tmp_path, capsys):
     (out / "albedo.png").write_text("former result")
     (out / "report.json").write_text(json.dumps({"dante_w": "0.1.0", "files": ["albedo.png", "report.json"]}))
     for name, (arguments, message) in broken_scenes(tmp_path).items():
-        code = main(["recover", *arguments, "--out", str(out), "--json"])
+        code = main(["recover", *arguments, "--out", str(out), "--json"], settings=SMALL)
         captured = capsys.readouterr()
         last = json.loads(captured.out.splitlines()[-1])
         assert (code, last["stage"], last["code"]) == (2, "error", 2), (name, last)
@@ -277,12 +269,12 @@ def test_memory_and_disk_have_their_own_exit_code(scene, tmp_path, capsys, monke
     assert run(capsys, "recover", scene, "--out", tmp_path / "out")[0] == 1
 
 
-def test_a_fit_that_diverges_is_no_success(scene, tmp_path, capsys, monkeypatch):
-    small = presets.PRESETS["standard"]
-    wild = dataclasses.replace(small, schedule=Schedule(20, 2048, float("inf")))
-    monkeypatch.setitem(presets.PRESETS, "standard", wild)
-    code, events = run(capsys, "recover", scene, "--out", tmp_path / "out", *FIELD)
-    assert code == 1 and "diverged" in events[-1]["message"]
+def test_a_fit_that_diverges_is_no_success(scene, tmp_path, capsys):
+    schedule = Schedule(20, 2048, float("inf"))
+    wild = dataclasses.replace(SMALL, field=dataclasses.replace(SMALL.field, schedule=schedule))
+    assert main(["recover", str(scene), "--out", str(tmp_path / "out"), *FIELD, "--json"], settings=wild) == 1
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert "diverged" in events[-1]["message"]
     assert not (tmp_path / "out").exists()
 
 
@@ -379,7 +371,7 @@ def test_a_plan_alone_leaves_nothing_behind(scene, tmp_path, capsys, monkeypatch
     assert done["report"]["plan"] == said["decisions"]
     assert {decision["what"]: decision["choice"] for decision in said["decisions"]}["bounce"] == "off"
     for extra, lines in (((), PLAN), (FIELD, FIELD_PLAN)):
-        assert main(["plan", str(scene), *extra]) == 0
+        assert main(["plan", str(scene), *extra], settings=SMALL) == 0
         out, err = capsys.readouterr()
         assert [line.split(":")[0] for line in out.splitlines()] == lines and err == ""
     assert run(capsys, "plan", tmp_path / "nothing")[0] == 2

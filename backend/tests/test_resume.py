@@ -22,30 +22,27 @@ COMMAND = """
 import os, signal, sys
 from dante_w.run import checkpoints
 from dante_w.commands import cli
-from dante_w.commands import recover_traced
-from dante_w.field import presets
-from dante_w.field.fields import ModelSpec
-from dante_w.field.hash_encoding import GridSpec
-from dante_w.field.optimise import Schedule
+from small_settings import small_preset
 from dante_w.run.progress import Progress
 checkpoints.SECONDS = 0.0
-spec = ModelSpec(GridSpec(2, 6, 2, 4, 64, 12), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4)
-presets.PRESETS["draft"] = presets.Preset(64, spec, Schedule(60, 2048, 1e-2), Schedule(30, 2048, 2e-3))
-recover_traced.DIRECTIONS["draft"] = 32
 update, kill = Progress.update, os.environ.get("KILL", "").split(":")
 def struck(self, stage, step, *more):
     if stage == kill[0] and step >= float(kill[1]):
         os.kill(os.getpid(), signal.SIGKILL)
     update(self, stage, step, *more)
 Progress.update = struck
-sys.exit(cli.main())
+sys.exit(cli.main(settings=small_preset(64, 60, 30, 'draft')))
 """
 
 
 def run(scene: Path, out: Path, *options: str, kill: str = "") -> tuple[int, dict]:
     command = [sys.executable, "-c", COMMAND, "recover", scene, "--out", out, "--preset", "draft", "--json"]
     done = subprocess.run(
-        [*command, *options], capture_output=True, text=True, env={**os.environ, "KILL": kill}, check=False
+        [*command, *options],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "KILL": kill, "PYTHONPATH": str(Path(__file__).parent)},
+        check=False,
     )
     return done.returncode, json.loads(done.stdout.splitlines()[-1])
 

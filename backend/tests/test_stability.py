@@ -9,31 +9,38 @@ import numpy as np
 import pytest
 import torch
 from conftest import CAMERA, albedo_at, cast, make_scene
-from dante_w.commands import recover_traced
 from dante_w.commands.cli import main
 from dante_w.contract.errors import BadInput
 from dante_w.contract.scene_folder import read_scene
 from dante_w.core.color import linear_from_srgb, srgb_from_linear
-from dante_w.field import divergence, presets
+from dante_w.field import divergence
 from dante_w.field.cpu.kernels.functions import srgb_from_linear as kernel_srgb
 from dante_w.field.fields import Model, ModelSpec
 from dante_w.field.hash_encoding import GridSpec, HashGrid, encode_reference
 from dante_w.field.optimise import FusedStep, LossTerms, Schedule, TorchStep, fit, model_loss
+from dante_w.field.presets import Preset as FieldSettings
+from dante_w.presets import Preset
 from dante_w.rays.radiance_levels import RADIANCE, levelled
 from dante_w.rays.ray_cache import Samples
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.images import read_photo, read_texture, write_exr
 from dante_w.scene.mesh import Mesh
+from dante_w.traced.settings import TracedSettings
 from dante_w.traced.shading_points import ShadingPoints, gather
 
 SPEC = ModelSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 8), hidden=16, embedding=2)
+FIELD = FieldSettings(64, SPEC, Schedule(100, 1024, 1e-2), Schedule(20, 1024, 2e-3))
+SMALL = Preset("standard", 64, TracedSettings(directions=32), FIELD)
+
+
+def with_rate(rate: float) -> Preset:
+    """Small settings whose main pass has another learning rate."""
+    schedule = dataclasses.replace(FIELD.schedule, learning_rate=rate)
+    return dataclasses.replace(SMALL, field=dataclasses.replace(FIELD, schedule=schedule))
 
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    preset = presets.Preset(64, SPEC, Schedule(100, 1024, 1e-2), Schedule(20, 1024, 2e-3))
-    monkeypatch.setitem(presets.PRESETS, "standard", preset)
-    monkeypatch.setitem(recover_traced.DIRECTIONS, "standard", 32)
     for module in ("solver.solve_lights", "model_selection"):
         monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
 
@@ -146,23 +153,17 @@ def test_a_fit_that_cannot_be_saved_ends_where_it_began():
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), fresh.parameters(), strict=True))
 
 
-def test_a_fit_that_tells_nothing_is_no_success(scene, tmp_path, capsys, monkeypatch):
-    preset = presets.PRESETS["standard"]
-    still = dataclasses.replace(preset, schedule=dataclasses.replace(preset.schedule, learning_rate=0.0))
-    monkeypatch.setitem(presets.PRESETS, "standard", still)
-    code = main(["recover", str(scene), "--out", str(tmp_path / "out"), "--irradiance", "field", "--json"])
+def test_a_fit_that_tells_nothing_is_no_success(scene, tmp_path, capsys):
+    command = ["recover", str(scene), "--out", str(tmp_path / "out"), "--irradiance", "field", "--json"]
+    code = main(command, settings=with_rate(0.0))
     last = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert code == 1 and "told nothing" in last["message"] and "\n" not in last["message"]
     assert not (tmp_path / "out").exists()
 
 
-def test_setbacks_are_in_the_report(scene, tmp_path, capsys, monkeypatch):
-    preset = presets.PRESETS["standard"]
-    wild = dataclasses.replace(preset, schedule=dataclasses.replace(preset.schedule, learning_rate=1e4))
-    monkeypatch.setitem(presets.PRESETS, "standard", wild)
-    assert (
-        main(["recover", str(scene), "--out", str(tmp_path / "out"), "--irradiance", "field", "--json"]) == 0
-    )
+def test_setbacks_are_in_the_report(scene, tmp_path, capsys):
+    command = ["recover", str(scene), "--out", str(tmp_path / "out"), "--irradiance", "field", "--json"]
+    assert main(command, settings=with_rate(1e4)) == 0
     setbacks = json.loads((tmp_path / "out/report.json").read_text())["setbacks"]
     assert list(setbacks) == ["optimise", "held-out", "final pass"]
     assert set(setbacks["optimise"][0]) == {"step", "reason", "rate"}
@@ -219,7 +220,8 @@ def test_photos_that_show_nothing_are_bad_input(tmp_path, capsys, value, irradia
     text = (folder / "transforms.json").read_text()
     (folder / "transforms.json").write_text(text.replace(".png", ".exr"))
     code = main(
-        ["recover", str(folder), "--out", str(tmp_path / "out"), "--irradiance", irradiance, "--json"]
+        ["recover", str(folder), "--out", str(tmp_path / "out"), "--irradiance", irradiance, "--json"],
+        settings=SMALL,
     )
     message = json.loads(capsys.readouterr().out.splitlines()[-1])["message"]
     assert code == 2 and ("black or overexposed" if value == 0.0 else "not finite") in message
@@ -228,7 +230,7 @@ def test_photos_that_show_nothing_are_bad_input(tmp_path, capsys, value, irradia
 @pytest.mark.parametrize("photos", [1, 2])
 def test_one_photo_or_two_give_a_texture_by_traced_light(tmp_path, capsys, photos):
     folder = make_scene(tmp_path / "scene", photos=photos)
-    assert main(["recover", str(folder), "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert main(["recover", str(folder), "--out", str(tmp_path / "out"), "--json"], settings=SMALL) == 0
     capsys.readouterr()
     found = read_texture(tmp_path / "out/albedo.png")
     centres = (np.arange(64) + 0.5) / 64

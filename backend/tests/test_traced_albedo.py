@@ -11,13 +11,13 @@ from dante_w.core.color import srgb_from_linear_array
 from dante_w.rays.ray_cache import RayCache, Surface
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
-from dante_w.traced import shading_points
-from dante_w.traced.albedo_texture import albedo_texture
+from dante_w.traced.albedo_texture import AlbedoSettings, albedo_texture
 from dante_w.traced.light_transport import trace_light_transport
-from dante_w.traced.pixel_weights import ALL, Weights
-from dante_w.traced.shading_points import gather
+from dante_w.traced.observations import ThinningSettings
+from dante_w.traced.pixel_weights import USUAL
+from dante_w.traced.shading_points import USUAL_SHADING, ShadingSettings, gather
 from dante_w.traced.specular import specular_radiance
-from dante_w.traced.state import Lighting
+from dante_w.traced.state import Lighting, TracedScene
 
 PHOTOS, SIZE, PIXELS = 9, 128, 150
 IN_ORDER = np.arange(PHOTOS)
@@ -36,7 +36,7 @@ class World:
 
     def texture(
         self,
-        weights: Weights = ALL,
+        shading: ShadingSettings = USUAL_SHADING,
         colour: np.ndarray | None = None,
         order: np.ndarray = IN_ORDER,
         cameras: np.ndarray = CAMERAS,
@@ -46,7 +46,7 @@ class World:
         bounced light of so much times the sky's."""
         cache = self.cache if colour is None else dataclasses.replace(self.cache, colour=colour)
         cache, cameras = turned(cache, order), cameras[order]
-        points, seen = gather(cache, cameras, weights)
+        points, seen = gather(cache, cameras, shading)
         caster = Raycaster(MESH, FRAME)
         transfer = trace_light_transport(points, caster, UVS, 64, lambda _: None)
         lights = Lighting(
@@ -57,20 +57,10 @@ class World:
             np.ones((len(points), 3), np.float32),
             np.ones(len(points), bool),
         )
-        footprint = np.full(len(cache), 1.5 / SIZE, np.float32)
-        return albedo_texture(
-            cache,
-            footprint,
-            points,
-            transfer,
-            lights,
-            cameras,
-            SIZE,
-            lambda _: None,
-            seen,
-            caster,
-            weights=weights,
-        )
+        cache = dataclasses.replace(cache, footprint=np.full(len(cache), 1.5 / SIZE, np.float32))
+        scene = TracedScene(cameras, points, seen, transfer, None, None, lights.cluster)
+        settings = AlbedoSettings(weights=shading.weights)
+        return albedo_texture(cache, scene, lights, SIZE, lambda _: None, caster, settings)
 
 
 def turned(cache: RayCache, order: np.ndarray) -> RayCache:
@@ -92,7 +82,7 @@ RADIANCE = np.ones((2, 64, 3), np.float32) * np.array([1.0, 2.0], np.float32)[:,
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    """Photos of the square without anything wrong, the sheen that the method expects included."""
+    """Photos of the square without anything wrong, the specular reflection that the method expects included."""
     random = np.random.default_rng(1)
     count = PIXELS**2
     face = random.integers(0, 2, (PHOTOS, count)).reshape(-1).astype(np.int32)
@@ -109,9 +99,7 @@ def world() -> World:
     towards = CAMERAS[seen.photo] - points.position[seen.point]
     towards = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
     light = seen.photo % 2
-    gloss = specular_radiance(
-        seen.point, light, towards, points.normal, transfer.directions, transfer.visible, RADIANCE
-    )
+    gloss = specular_radiance(seen.point, light, towards, points.normal, transfer, RADIANCE)
     shown = np.zeros((PHOTOS, len(points), 3))
     exposure = np.exp(EXPOSURE)[seen.photo, None]
     shown[seen.photo, seen.point] = exposure * ((1.0 + light)[:, None] * ALBEDO + gloss)
@@ -120,6 +108,10 @@ def world() -> World:
     photo = np.repeat(np.arange(PHOTOS), count)
     colour = srgb_from_linear_array(shown[photo, points.at(uv)])
     return World(dataclasses.replace(cache, colour=colour.astype(np.float16)), uv)
+
+
+def weighed(**weights: float) -> ShadingSettings:
+    return ShadingSettings(weights=dataclasses.replace(USUAL, **weights))
 
 
 def inside(texture: np.ndarray) -> np.ndarray:
@@ -149,11 +141,10 @@ def test_a_photo_of_a_sheets_other_side_does_not_count(world):
     np.testing.assert_allclose(found, np.broadcast_to(ALBEDO, found.shape), rtol=0.03)
 
 
-def test_of_many_photos_some_observations_stand_for_all(world, monkeypatch):
+def test_of_many_photos_some_observations_stand_for_all(world):
     whole, everything = inside(world.texture()), gather(world.cache, CAMERAS)[1]
-    monkeypatch.setattr(shading_points, "PHOTOS", 4)
-    monkeypatch.setattr(shading_points, "ANCHORS", 64)  # of 256 cells a side
-    points, seen = gather(world.cache, CAMERAS)
+    few = ThinningSettings(photos=4, anchors=64)  # of 256 cells a side
+    points, seen = gather(world.cache, CAMERAS, ShadingSettings(thinning=few))
     cell = np.flatnonzero(points.point_of_cell >= 0)
     anchor = (cell % 256 % 4 == 0) & (cell // 256 % 4 == 0)
     views = np.bincount(seen.point)
@@ -164,11 +155,12 @@ def test_of_many_photos_some_observations_stand_for_all(world, monkeypatch):
     rows = np.searchsorted(keys, seen.photo.astype(np.int64) * len(points) + seen.point)
     np.testing.assert_array_equal(seen.colour, everything.colour[rows])
 
-    monkeypatch.setattr(shading_points, "ROWS", len(points))  # thinned again and again on the way
-    again = gather(world.cache, CAMERAS)[1]
+    # thinned again and again on the way
+    shading = ShadingSettings(thinning=dataclasses.replace(few, rows_held=len(points)))
+    again = gather(world.cache, CAMERAS, shading)[1]
     np.testing.assert_array_equal(again.point, seen.point)
     np.testing.assert_array_equal(again.photo, seen.photo)
-    np.testing.assert_allclose(inside(world.texture()), whole, atol=0.02)
+    np.testing.assert_allclose(inside(world.texture(shading)), whole, atol=0.02)
 
 
 def test_people_in_some_photos_do_not_tint_the_texture(world):
@@ -179,7 +171,7 @@ def test_people_in_some_photos_do_not_tint_the_texture(world):
     somebody = ((photo == 3) | (photo == 6)) & (np.hypot(u - 0.5, v - 0.5) < 0.3)
     colour[somebody] = (0.1, 0.75, 0.9)
     clean, robust = inside(world.texture()), inside(world.texture(colour=colour))
-    tinted = inside(world.texture(dataclasses.replace(ALL, outlier=False), colour))
+    tinted = inside(world.texture(weighed(outlier=np.inf), colour))
     assert np.abs(robust - clean).max() < 0.02
     assert (np.abs(tinted - clean).max(axis=1) > 0.1).mean() > 0.2
 
@@ -188,17 +180,17 @@ def test_a_highlight_in_each_photo_leaves_no_trace(world):
     u, v = (world.uv * 4.0).T
     photo = photo_of(world)
     colour = np.array(world.cache.colour)
-    add_suns = np.hypot(u - (photo + 1) / (PHOTOS + 1), v - 0.5) < 0.1
-    colour[add_suns] = np.minimum(colour[add_suns] + 0.3, 0.99)
+    shine = np.hypot(u - (photo + 1) / (PHOTOS + 1), v - 0.5) < 0.1
+    colour[shine] = np.minimum(colour[shine] + 0.3, 0.99)
     clean, robust = inside(world.texture()), inside(world.texture(colour=colour))
-    glossy = inside(world.texture(dataclasses.replace(ALL, outlier=False), colour))
+    glossy = inside(world.texture(weighed(outlier=np.inf), colour))
     assert np.abs(robust - clean).max() < 0.02 < 0.05 < np.abs(glossy - clean).max()
 
 
 def test_clipped_colours_do_not_darken_the_texture(world):
     colour = np.minimum(world.cache.colour, np.float16(1.0))
-    only = Weights(clipped=True, dark=False, edge=False, outlier=False)
-    without = dataclasses.replace(only, clipped=False)
+    only = weighed(noise=0.0, near_edge=0, outlier=np.inf)
+    without = weighed(noise=0.0, near_edge=0, outlier=np.inf, clipped_from=np.inf)
     assert inside(world.texture(only, colour)).mean(axis=0) == pytest.approx(ALBEDO, rel=0.03)
     assert inside(world.texture(without, colour)).mean(axis=0)[0] < 0.95 * ALBEDO[0]
 
@@ -217,7 +209,7 @@ def test_colours_beside_edges_are_left_out_of_means_where_others_are(world):
     assert 0.5 < some.mean() < 1.0 and (seen.pixels[some] <= clean.pixels[some]).all()
     np.testing.assert_allclose(seen.colour[some], clean.colour[some], rtol=0.02)
     assert (seen.colour[~some] > 0.7).all()
-    everything = gather(cache, CAMERAS, Weights(edge=False))[1]
+    everything = gather(cache, CAMERAS, weighed(near_edge=0))[1]
     np.testing.assert_array_equal(everything.pixels, clean.pixels)
 
 

@@ -1,12 +1,13 @@
-"""Sheen against a plain reading of its formula."""
+"""Specular reflection against a plain reading of its formula."""
 
 from __future__ import annotations
 
 import numpy as np
-from dante_w.traced.light_transport import sphere
-from dante_w.traced.specular import ALPHA, REFLECTANCE, specular_radiance
+from dante_w.traced.light_transport import LightTransport, sphere
+from dante_w.traced.specular import USUAL_SPECULAR, specular_radiance
 
 DIRECTIONS = 64
+ALPHA, REFLECTANCE = USUAL_SPECULAR.alpha, USUAL_SPECULAR.reflectance
 
 
 def plainly(n, v, directions, visible, radiance):
@@ -31,6 +32,11 @@ def unit(random, count):
     return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
 
 
+def specular(point, light, towards, normals, directions, visible, radiance):
+    transport = LightTransport(directions, visible, visible, *(np.zeros(0, int) for _ in range(4)))
+    return specular_radiance(point, light, towards, normals, transport, radiance)
+
+
 def geometry(rows=40, points=10, lights=3):
     random = np.random.default_rng(1)
     normals = unit(random, points)
@@ -43,9 +49,9 @@ def geometry(rows=40, points=10, lights=3):
     return point, light, *(array.astype(np.float32) for array in arrays)
 
 
-def test_sheen_is_its_formula():
+def test_specular_radiance_is_its_formula():
     point, light, towards, normals, directions, visible, radiance = geometry()
-    found = specular_radiance(point, light, towards, normals, directions, visible, radiance)
+    found = specular(point, light, towards, normals, directions, visible, radiance)
     assert found.shape == (len(point), 3) and found.dtype == np.float32
     wanted = [
         plainly(normals[p], v, directions, visible[p], radiance[j])
@@ -56,20 +62,16 @@ def test_sheen_is_its_formula():
 
 def test_nothing_visible_nothing_shines():
     point, light, towards, normals, directions, visible, radiance = geometry()
-    assert (
-        specular_radiance(point, light, towards, normals, directions, 0.0 * visible, radiance) == 0.0
-    ).all()
+    assert (specular(point, light, towards, normals, directions, 0.0 * visible, radiance) == 0.0).all()
     below = ((normals @ directions.T) < 0.0).astype(np.float32)
-    assert (specular_radiance(point, light, towards, normals, directions, below, radiance) == 0.0).all()
+    assert (specular(point, light, towards, normals, directions, below, radiance) == 0.0).all()
 
 
 def test_uniform_light_returns_a_small_part():
     point, light, towards, normals, directions, visible, radiance = geometry(rows=300)
-    found = specular_radiance(
+    found = specular(
         point, light, towards, normals, directions, np.ones_like(visible), np.ones_like(radiance)
     )
     assert (found < 1.0).all() and (found > REFLECTANCE / 3.0).all()
     steep = (towards * normals[point]).sum(axis=1)
-    assert found[steep < 0.3].mean() > 1.5 * found[steep > 0.8].mean(), (
-        "rough things add_suns at grazing angles"
-    )
+    assert found[steep < 0.3].mean() > 1.5 * found[steep > 0.8].mean(), "rough things shine at grazing angles"

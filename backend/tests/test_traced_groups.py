@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dante_w.traced import light_clusters as groups
-from dante_w.traced.light_clusters import first_clusters, reassign_photos
-from dante_w.traced.shading_points import Observations
+from dante_w.traced import light_clusters
+from dante_w.traced.light_clusters import (
+    USUAL_CLUSTERS,
+    ClusterSettings,
+    _average_linkage,
+    first_clusters,
+    reassign_photos,
+)
+from dante_w.traced.observations import Observations
+from dante_w.traced.state import Lighting
 
 LIGHTS, EACH, POINTS = 3, 4, 800
 PHOTOS = LIGHTS * EACH
@@ -51,8 +58,9 @@ def moved(world, light, log_irradiance, as_good=1.25):
     _, log_albedo, exposure, seen = world
     target = np.log(seen.colour) - exposure[seen.photo, None]
     weight = np.ones_like(target)
-    known = np.ones(POINTS, bool)
-    return reassign_photos(target, log_irradiance, log_albedo, weight, seen, light, known, as_good)
+    known, nothing = np.ones(POINTS, bool), np.zeros(0)
+    lighting = Lighting(nothing, light, exposure, nothing, np.exp(log_albedo), known)
+    return reassign_photos(target, np.exp(log_irradiance), weight, seen, lighting, as_good)
 
 
 def test_linkage_finds_obvious_clusters():
@@ -61,32 +69,32 @@ def test_linkage_finds_obvious_clusters():
     noise = random.uniform(0.0, 0.1, (9, 9))
     apart = np.where(truth[:, None] == truth, 0.1, 1.0) + noise + noise.T
     np.fill_diagonal(apart, 0.0)
-    found = groups._average_linkage(apart, 3)
+    found = _average_linkage(apart, 3, 1.0)
     assert same_partition(found, truth)
     assert sorted(set(found.tolist())) == [0, 1, 2]
-    assert len(set(groups._average_linkage(apart, 5).tolist())) == 5
-    assert groups._average_linkage(apart, 20).tolist() == list(range(9))
-    assert (groups._average_linkage(apart, 1) == 0).all()
+    assert len(set(_average_linkage(apart, 5, 1.0).tolist())) == 5
+    assert _average_linkage(apart, 20, 1.0).tolist() == list(range(9))
+    assert (_average_linkage(apart, 1, 1.0) == 0).all()
 
 
 def test_linkage_takes_the_mean_of_all_members():
     # on a line: 0, 1 | 4; then 7.2 joins 4 (3.2) and not the pair
     place = np.array([0.0, 1.0, 4.0, 7.2])
-    found = groups._average_linkage(np.abs(place[:, None] - place), 2)
+    found = _average_linkage(np.abs(place[:, None] - place), 2, 1.0)
     assert same_partition(found, np.array([0, 0, 1, 1]))
     # single linkage would chain 0, 1, 2.1, 3.3 together first
     place = np.array([0.0, 1.0, 2.1, 3.3])
-    found = groups._average_linkage(np.abs(place[:, None] - place), 2)
+    found = _average_linkage(np.abs(place[:, None] - place), 2, 1.0)
     assert same_partition(found, np.array([0, 0, 1, 1]))
 
 
-def test_first_groups_are_pure(world, monkeypatch):
+def test_first_clusters_are_pure(world):
     seen = world[3]
     found = first_clusters(seen, POINTS, PHOTOS)
     assert found.shape == (PHOTOS,) and pure(found)
-    assert len(np.unique(found)) == groups.CLUSTERS
-    monkeypatch.setattr(groups, "CLUSTERS", LIGHTS)
-    assert same_partition(first_clusters(seen, POINTS, PHOTOS), TRUTH)
+    assert len(np.unique(found)) == USUAL_CLUSTERS.clusters
+    few = ClusterSettings(clusters=LIGHTS)
+    assert same_partition(first_clusters(seen, POINTS, PHOTOS, few), TRUTH)
 
 
 def test_linkage_passes_over_what_is_not_known():
@@ -96,21 +104,19 @@ def test_linkage_passes_over_what_is_not_known():
     for (i, j), distance in [*((pair, 0.1) for pair in near), *((pair, 0.3) for pair in far)]:
         apart[i, j] = apart[j, i] = distance
         known[i, j] = known[j, i] = True
-    found = groups._average_linkage(apart, 2, known)
+    found = _average_linkage(apart, 2, 1.0, known)
     assert same_partition(found, np.array([0, 0, 0, 0, 1, 1]))
-    assert not same_partition(groups._average_linkage(apart, 2), np.array([0, 0, 0, 0, 1, 1]))
-    assert len(np.unique(groups._average_linkage(apart, 2, np.zeros((6, 6), bool)))) == 2
+    assert not same_partition(_average_linkage(apart, 2, 1.0), np.array([0, 0, 0, 0, 1, 1]))
+    assert len(np.unique(_average_linkage(apart, 2, 1.0, np.zeros((6, 6), bool)))) == 2
 
 
 @pytest.mark.parametrize("count", [6, 9])
-def test_of_many_photos_some_are_compared_with_all(world, monkeypatch, count):
-    monkeypatch.setattr(groups, "CLUSTERS", LIGHTS)
-    monkeypatch.setattr(groups, "COMPARED", count)
-    assert same_partition(first_clusters(world[3], POINTS, PHOTOS), TRUTH)
+def test_of_many_photos_some_are_compared_with_all(world, count):
+    settings = ClusterSettings(clusters=LIGHTS, compared=count)
+    assert same_partition(first_clusters(world[3], POINTS, PHOTOS, settings), TRUTH)
 
 
-def test_clipped_and_dark_observations_do_not_group(world, monkeypatch):
-    monkeypatch.setattr(groups, "CLUSTERS", LIGHTS)
+def test_clipped_and_dark_observations_do_not_group(world):
     seen = world[3]
     random = np.random.default_rng(4)
     bad = random.random(len(seen.point)) < 0.2
@@ -118,14 +124,15 @@ def test_clipped_and_dark_observations_do_not_group(world, monkeypatch):
     colour[bad & (seen.point % 2 == 0)] = 0.0
     clipped = bad & (seen.point % 2 == 1)
     spoilt = Observations(seen.point, seen.photo, colour, seen.pixels, clipped)
-    assert same_partition(first_clusters(spoilt, POINTS, PHOTOS), TRUTH)
+    few = ClusterSettings(clusters=LIGHTS)
+    assert same_partition(first_clusters(spoilt, POINTS, PHOTOS, few), TRUTH)
 
 
 def test_photos_without_common_points_still_get_a_group(world):
     seen = world[3]
-    found = first_clusters(seen.of(seen.point % PHOTOS == seen.photo), POINTS, PHOTOS)
-    assert found.shape == (PHOTOS,) and len(np.unique(found)) == groups.CLUSTERS
-    assert (first_clusters(seen.of(seen.photo == 0), POINTS, 1) == 0).all()
+    found = first_clusters(seen.take(seen.point % PHOTOS == seen.photo), POINTS, PHOTOS)
+    assert found.shape == (PHOTOS,) and len(np.unique(found)) == USUAL_CLUSTERS.clusters
+    assert (first_clusters(seen.take(seen.photo == 0), POINTS, 1) == 0).all()
 
 
 def test_a_misplaced_photo_moves(world):
@@ -154,7 +161,7 @@ def test_different_lights_stay_apart(world):
 def test_a_photo_that_nothing_explains_does_not_join_lights(world, monkeypatch, as_good, lights):
     # two photos want light 0, one wants light 1, and a spoilt one neither
     residual = np.array([(0.02, 0.03), (0.02, 0.03), (0.30, 0.30), (0.05, 0.02)])
-    monkeypatch.setattr(groups, "_residuals", lambda *_: (residual, np.ones(4, bool)))
+    monkeypatch.setattr(light_clusters, "_residuals", lambda *_: (residual, np.ones(4, bool)))
     found, kept = moved(world, np.array([0, 0, 0, 1]), world[0][:, :2], as_good)
     assert len(kept) == lights, "the ratio of the sums is 1.06, the mean ratio 1.31"
     assert found.tolist() == ([0, 0, 0, 1] if lights == 2 else [0, 0, 0, 0])
@@ -162,7 +169,7 @@ def test_a_photo_that_nothing_explains_does_not_join_lights(world, monkeypatch, 
 
 def test_a_photo_that_saw_nothing_keeps_a_light(world):
     log_irradiance, log_albedo, exposure, seen = world
-    some = seen.of(seen.photo != 7)
+    some = seen.take(seen.photo != 7)
     found, kept = moved((log_irradiance, log_albedo, exposure, some), TRUTH.copy(), log_irradiance)
     assert same_partition(found, TRUTH) and found.max() < len(kept)
 
@@ -172,7 +179,7 @@ def test_a_light_whose_photos_saw_nothing_is_given_up(world):
     light = TRUTH.copy()
     light[7] = 3
     four = np.concatenate([log_irradiance, log_irradiance[:, :1] + 0.5], axis=1)
-    found, kept = moved((four, log_albedo, exposure, seen.of(seen.photo != 7)), light, four)
+    found, kept = moved((four, log_albedo, exposure, seen.take(seen.photo != 7)), light, four)
     assert kept.tolist() == [0, 1, 2] and found.max() == 2
     others = np.arange(PHOTOS) != 7
     assert found[others].tolist() == TRUTH[others].tolist()

@@ -6,9 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from dante_w.traced.held_out import place
+from dante_w.traced.held_out import fit_held_out
+from dante_w.traced.observations import Observations
 from dante_w.traced.solver.solve_lights import solve_lights
-from dante_w.traced.state import Components, Lighting
+from dante_w.traced.state import Components, Lighting, TracedScene
 from open_world import LIGHTS, PHOTOS, POINTS, World, make_world
 
 HELD_OUT = np.array([4, 11])
@@ -23,17 +24,21 @@ def world() -> World:
 @pytest.fixture(scope="module")
 def lights(world: World) -> Lighting:
     """Solved without the held-out photos, which are as if under light 0."""
-    seen = world.seen.of(~np.isin(world.seen.photo, HELD_OUT))
+    seen = world.seen.take(~np.isin(world.seen.photo, HELD_OUT))
     light = world.light.copy()
     light[HELD_OUT] = 0
     return solve_lights(world.points, world.transfer, seen, world.cameras, light, 0, lambda *_: None, PARTS)
+
+
+def scene_of(world: World, seen: Observations) -> TracedScene:
+    return TracedScene(world.cameras, world.points, seen, world.transfer, None, None, world.light)
 
 
 def placed(
     world: World, lights: Lighting, parts: Components = PARTS, **changed
 ) -> tuple[Lighting, float | None]:
     seen = dataclasses.replace(world.seen, **changed)
-    return place(lights, world.points, world.transfer, seen, world.cameras, HELD_OUT, parts)
+    return fit_held_out(lights, scene_of(world, seen), HELD_OUT, parts)
 
 
 def test_they_get_their_light_and_exposure(world, lights):
@@ -65,9 +70,9 @@ def test_a_photo_that_fares_badly_counts_as_one(world, lights):
     noise = np.random.default_rng(0).normal(0.0, 0.5, world.seen.colour.shape)
     spoilt = world.seen.colour * np.exp(np.where((world.seen.photo == HELD_OUT[0])[:, None], noise, 0.0))
     seen = dataclasses.replace(world.seen, colour=spoilt.astype(np.float32))
-    what = lights, world.points, world.transfer, seen, world.cameras
-    bad, good = (place(*what, HELD_OUT[[index]], PARTS)[1] for index in (0, 1))
-    both = place(*what, HELD_OUT, PARTS)[1]
+    scene = scene_of(world, seen)
+    bad, good = (fit_held_out(lights, scene, HELD_OUT[[index]], PARTS)[1] for index in (0, 1))
+    both = fit_held_out(lights, scene, HELD_OUT, PARTS)[1]
     assert both == pytest.approx((bad + good) / 2.0) and good > bad + 6.0
 
 
@@ -84,7 +89,7 @@ def test_exposures_that_are_one_for_all_are_not_fitted(world, lights):
     assert score is not None and fitted is not None and score < fitted - 3.0
 
 
-def test_without_gloss_matte_photos_are_explained_worse(world, lights):
+def test_without_specular_matte_photos_are_explained_worse(world, lights):
     score = placed(world, lights, dataclasses.replace(PARTS, specular=False))[1]
     fitted = placed(world, lights)[1]
     assert score is not None and fitted is not None and score < fitted - 0.5

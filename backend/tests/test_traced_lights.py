@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dante_w.contract.errors import BadInput
-from dante_w.traced.shading_points import Observations
+from dante_w.traced.observations import Observations
 from dante_w.traced.solver.normal_equations import Equations, step
 from dante_w.traced.solver.solve_lights import BRIGHTEST, FEWEST_PHOTOS, LEVEL_TRUST, TOP, solve_lights
 from dante_w.traced.specular import specular_radiance
@@ -69,7 +69,7 @@ def test_albedo_is_recovered_up_to_a_gain(world, found):
 
 
 def test_lights_go_on_from_a_fit_of_fewer_observations(world, found):
-    begun = solved(world, world.seen.of(world.seen.point % 4 == 0), fine=False)
+    begun = solved(world, world.seen.take(world.seen.point % 4 == 0), fine=False)
     assert begun.known.mean() < 0.3
     again = solved(world, begun=begun)
     assert_finite(again)
@@ -169,7 +169,7 @@ def test_a_point_that_too_few_photos_see_is_not_known(world, found):
         rows[np.flatnonzero(world.seen.point == point)[FEWEST_PHOTOS - 1 :]] = False
     rows[world.seen.point == 50] = False
     clipped = dataclasses.replace(world.seen, clipped=world.seen.point == 51)  # sees nothing either
-    fewer = solved(world, clipped.of(rows))
+    fewer = solved(world, clipped.take(rows))
     assert not fewer.known[:52].any() and found.known[:52].sum() > 40
     assert fewer.known[52:].tolist() == found.known[52:].tolist()
     assert_finite(fewer)
@@ -186,7 +186,7 @@ def test_same_seed_same_arrays(world, monkeypatch):
 
 
 def test_two_photos_are_divided_by_what_light_is_taken_for(world):
-    found = solved(world, world.seen.of(world.seen.photo < FEWEST_PHOTOS - 1))
+    found = solved(world, world.seen.take(world.seen.photo < FEWEST_PHOTOS - 1))
     assert found.known.any() and np.isfinite(found.radiance).all() and np.isfinite(found.albedo).all()
 
 

@@ -7,8 +7,10 @@ import pytest
 import torch
 from dante_w.core.color import srgb_from_linear_array
 from dante_w.rays.ray_cache import RayCache, Surface
-from dante_w.traced.albedo_prior import ENOUGH_VIEWS, TRUST, fuse_priors
-from dante_w.traced.shading_points import SIDE, ShadingPoints, gather
+from dante_w.traced.albedo_prior import USUAL_PRIORS, fuse_priors
+from dante_w.traced.shading_points import USUAL_SHADING, ShadingPoints, gather
+
+TRUST, ENOUGH_VIEWS, SIDE = USUAL_PRIORS.weight, USUAL_PRIORS.enough_views, USUAL_SHADING.side
 
 VIEWS, CELLS = 6, 24  # cells along either side of the part of the texture that is seen
 GAINS = np.exp(np.random.default_rng(1).normal(0.0, 0.3, (VIEWS, 3)))

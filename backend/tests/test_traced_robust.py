@@ -6,20 +6,13 @@ import numpy as np
 import pytest
 from dante_w.rays.depth_edges import EDGES, edge_distances
 from dante_w.traced.pixel_weights import (
-    AGREED,
-    BRIGHTER,
-    CLIPPED,
-    FEWEST,
-    HOPELESS,
-    LEAST,
-    NEAR_EDGE,
-    NOISY,
-    OUTLYING,
-    agreement,
-    clipped,
+    USUAL,
+    PixelWeightSettings,
+    clipped_weight,
     consensus,
-    dark,
-    edge,
+    consensus_weight,
+    dark_weight,
+    edge_weight,
     medians,
 )
 
@@ -27,20 +20,20 @@ RANDOM = np.random.default_rng(4)
 
 
 def test_clipped_pixels_count_only_where_nothing_else_tells():
-    srgb = np.array([(0.5, 0.5, 0.5), (0.2, CLIPPED, 0.2), (1.0, 1.0, 1.0)])
-    assert clipped(srgb, np.ones(3, bool)).tolist() == [1.0, 0.0, 0.0]
-    assert clipped(srgb, np.zeros(3, bool)).tolist() == [1.0, HOPELESS, HOPELESS]
+    srgb = np.array([(0.5, 0.5, 0.5), (0.2, USUAL.clipped_from, 0.2), (1.0, 1.0, 1.0)])
+    assert clipped_weight(srgb, np.ones(3, bool)).tolist() == [1.0, 0.0, 0.0]
+    assert clipped_weight(srgb, np.zeros(3, bool)).tolist() == [1.0, USUAL.clipped_alone, USUAL.clipped_alone]
 
 
 def test_dark_is_signal_over_signal_and_noise():
-    np.testing.assert_allclose(dark(np.array([0.0, NOISY, 3.0 * NOISY])), [0.0, 0.5, 0.9])
-    assert dark(np.array([-0.1]))[0] == 0.0 and dark(np.array([1.0]))[0] > 0.999
+    np.testing.assert_allclose(dark_weight(np.array([0.0, USUAL.noise, 3.0 * USUAL.noise])), [0.0, 0.5, 0.9])
+    assert dark_weight(np.array([-0.1]))[0] == 0.0 and dark_weight(np.array([1.0]))[0] > 0.999
 
 
 def test_pixels_away_from_edges_count_fully_and_none_is_lost():
-    weight = edge(np.arange(EDGES.reach + 1, dtype=np.uint8))
-    assert weight[0] > 0.0 and (np.diff(weight[: NEAR_EDGE + 1]) > 0.0).all()
-    np.testing.assert_array_equal(weight[NEAR_EDGE:], 1.0)
+    weight = edge_weight(np.arange(EDGES.reach + 1, dtype=np.uint8))
+    assert weight[0] > 0.0 and (np.diff(weight[: USUAL.near_edge + 1]) > 0.0).all()
+    np.testing.assert_array_equal(weight[USUAL.near_edge :], 1.0)
 
 
 def test_edges_are_where_depth_jumps_and_not_at_the_photos_border():
@@ -78,7 +71,7 @@ def outlier(
     rows: np.ndarray, weight: np.ndarray, noise: np.ndarray, point: np.ndarray, light: np.ndarray
 ) -> np.ndarray:
     """The trust in photos that are themselves all that there are."""
-    return agreement(rows, noise, point, consensus(rows, weight, point, light))
+    return consensus_weight(rows, noise, point, consensus(rows, weight, point, light))
 
 
 def one_point(values: list[float], light: list[int] | None = None, weight: float = 1.0) -> np.ndarray:
@@ -96,15 +89,15 @@ def test_who_agrees_is_trusted_and_who_does_not_is_out():
 
 
 def test_doubt_grows_with_distance_and_faster_above():
-    off = 0.8 * OUTLYING * AGREED / BRIGHTER
+    off = 0.8 * USUAL.outlier * USUAL.agreement / USUAL.brighter
     above, below = one_point([0.0] * 9 + [off])[-1], one_point([0.0] * 9 + [-off])[-1]
     assert above == pytest.approx((1.0 + 0.8**2) ** -2)
-    assert below == pytest.approx((1.0 + (0.8 / BRIGHTER) ** 2) ** -2)
-    assert LEAST < above < below < 1.0
+    assert below == pytest.approx((1.0 + (0.8 / USUAL.brighter) ** 2) ** -2)
+    assert USUAL.least < above < below < 1.0
 
 
 def test_where_photos_differ_anyhow_and_in_noise_more_is_forgiven():
-    off = -2.0 * OUTLYING * AGREED
+    off = -2.0 * USUAL.outlier * USUAL.agreement
     assert one_point([0.0] * 9 + [off])[-1] == 0.0
     assert one_point([-0.4, 0.4, -0.3, 0.3, 0.0, 0.35, -0.35, off])[-1] > 0.0
     noisy = np.zeros(10)
@@ -115,7 +108,7 @@ def test_where_photos_differ_anyhow_and_in_noise_more_is_forgiven():
 
 
 def test_few_photos_make_no_consensus():
-    assert one_point([0.0, 0.0, 5.0][: FEWEST - 1]).tolist() == [1.0] * (FEWEST - 1)
+    assert one_point([0.0, 0.0, 5.0][: USUAL.fewest_photos - 1]).tolist() == [1.0] * (USUAL.fewest_photos - 1)
 
 
 def test_photos_of_one_light_do_not_outvote_the_others():
@@ -141,3 +134,14 @@ def test_order_does_not_matter_and_broken_numbers_stay_out():
     empty = np.zeros(0, int)
     assert len(outlier(np.zeros((0, 3)), np.zeros(0), np.zeros(0), empty, empty)) == 0
     assert np.isfinite(one_point([0.0] * 5, weight=0.0)).all()
+
+
+def test_each_weight_can_be_left_out_by_its_setting():
+    nothing = PixelWeightSettings(clipped_from=np.inf, noise=0.0, near_edge=0, outlier=np.inf)
+    rows = np.array([[0.0] * 3] * 6 + [[3.0] * 3, [np.nan] * 3])
+    point, count = np.zeros(len(rows), int), len(rows)
+    expected = consensus(rows, np.ones(count), point, np.arange(count), nothing)
+    assert (consensus_weight(rows, np.zeros(count), point, expected, nothing) == 1.0).all()
+    assert (clipped_weight(np.ones((3, 3)), np.ones(3, bool), nothing) == 1.0).all()
+    assert (dark_weight(np.array([0.0, 1e-3, 1.0]), nothing) == 1.0).all()
+    assert (edge_weight(np.arange(4), nothing) == 1.0).all()

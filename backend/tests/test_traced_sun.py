@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
-from dante_w.traced.albedo_texture import irradiance_of
-from dante_w.traced.light_transport import sunlit, trace_light_transport, with_suns
-from dante_w.traced.shading_points import Observations, ShadingPoints
+from dante_w.traced.albedo_texture import Surface, direct_irradiance
+from dante_w.traced.light_transport import sun_visibility, trace_light_transport, with_suns
+from dante_w.traced.observations import Observations
+from dante_w.traced.shading_points import ShadingPoints
 from dante_w.traced.solver.solve_lights import evidence, solve_lights
 from dante_w.traced.specular import specular_radiance
 from dante_w.traced.state import Components, Lighting
@@ -47,7 +48,7 @@ class World:
         self.transfer = trace_light_transport(self.points, self.caster, uvs, 256, lambda _: None)
         patches = np.where((np.floor(x * 3) + np.floor(y * 3)) % 2 == 0, 0.5, 0.3)
         self.albedo = patches[:, None] * np.array([1.0, 0.8, 0.6])
-        seen = sunlit(position, normal, self.caster, SUN)
+        seen = sun_visibility(position, normal, self.caster, SUN)
         light = self.transfer.direct.sum(axis=1) + strength * seen * SUN[2]
         noise = np.random.default_rng(0).normal(1.0, 0.01, (PHOTOS, SIDE**2, 3))
         colour = (0.3 * self.albedo * light[:, None] * noise).reshape(-1, 3).astype(np.float32)
@@ -98,9 +99,9 @@ def test_a_sun_is_seen_but_where_the_mesh_is_in_its_way():
     position = np.array([(0.5, 0.5, -0.3), (0.5, 0.5, 0.3), (0.9, 0.5, -0.3), (0.5, 0.5, 0.3)])
     normal = np.array([(0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (0.9, 0.0, 0.4), (0.0, 0.0, -1.0)])
     slanted = np.array([0.8, 0.0, 0.6])
-    np.testing.assert_array_equal(sunlit(position, normal, caster, slanted), [0.0, 1.0, 1.0, 0.0])
+    np.testing.assert_array_equal(sun_visibility(position, normal, caster, slanted), [0.0, 1.0, 1.0, 0.0])
     at_edge = np.array([(0.6, 0.5, -0.3)])  # the ground ends where the sun's middle is seen
-    assert 0.0 < sunlit(at_edge, np.array([(0.0, 0.0, 1.0)]), caster, slanted)[0] < 1.0
+    assert 0.0 < sun_visibility(at_edge, np.array([(0.0, 0.0, 1.0)]), caster, slanted)[0] < 1.0
 
 
 def test_suns_leave_the_sphere_as_it_was():
@@ -109,7 +110,9 @@ def test_suns_leave_the_sphere_as_it_was():
     assert transfer.share == world.transfer.share == 4.0 / 256 and transfer.suns == 1
     np.testing.assert_allclose(
         transfer.direct[:, -1],
-        transfer.share * SUN[2] * sunlit(world.points.position, world.points.normal, world.caster, SUN),
+        transfer.share
+        * SUN[2]
+        * sun_visibility(world.points.position, world.points.normal, world.caster, SUN),
         rtol=1e-6,
     )
     radiance = np.random.default_rng(0).random((1, 256, 3)).astype(np.float32)
@@ -117,9 +120,7 @@ def test_suns_leave_the_sphere_as_it_was():
     point, light = np.arange(50), np.zeros(50, np.int64)
     towards = world.points.towards(point, world.cameras[0])
     shown = [
-        specular_radiance(
-            point, light, towards, world.points.normal, each.directions, each.visible, emitted, each.suns
-        )
+        specular_radiance(point, light, towards, world.points.normal, each, emitted)
         for each, emitted in ((world.transfer, radiance), (transfer, dark))
     ]
     np.testing.assert_allclose(shown[0], shown[1], rtol=1e-6)
@@ -134,9 +135,9 @@ def test_pixels_see_the_sun_for_themselves():
         np.float32
     )  # through a post's shadow
     point, normal = world.points.at(place[:, :2]), np.tile(np.float32((0.0, 0.0, 1.0)), (400, 1))
-    lit = irradiance_of(point, place, normal, transfer, radiance, world.caster)
-    sky = irradiance_of(point, place, normal, world.transfer, radiance[:256], world.caster)
-    seen = sunlit(place, normal, world.caster, SUN)
+    lit = direct_irradiance(Surface(point, place, normal), transfer, radiance, world.caster)
+    sky = direct_irradiance(Surface(point, place, normal), world.transfer, radiance[:256], world.caster)
+    seen = sun_visibility(place, normal, world.caster, SUN)
     sun = transfer.share * 90.0 * SUN[2] * seen
     np.testing.assert_allclose(lit - sky, np.repeat(sun[:, None], 3, axis=1), atol=1e-5)
     by_cell = transfer.visible[point, -1]

@@ -1,4 +1,4 @@
-"""Traced transfer against closed forms, and what shading points are made of."""
+"""Light transport against closed forms, and what shading points are made of."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from dante_w.rays.ray_cache import RayCache, Surface
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
 from dante_w.traced.light_transport import LightTransport, bounced, sphere, trace_light_transport
-from dante_w.traced.shading_points import CLIPPED, SIDE, ShadingPoints, cells, facing, gather
+from dante_w.traced.pixel_weights import USUAL
+from dante_w.traced.sample_geometry import shading_normals
+from dante_w.traced.shading_points import USUAL_SHADING, ShadingPoints, cells, gather
+
+SIDE = USUAL_SHADING.side
 
 CHART = 8  # cells along either side of a quad's chart
 CENTRE = np.array([[0.5, 0.5, 0.5]])
@@ -103,7 +107,7 @@ def test_an_open_plane_sees_the_whole_sky(normal):
     assert (found.visible[0, height < -0.25] == 0.0).all()
     straight = 4.0 / 64 * np.maximum(height, 0.0)
     np.testing.assert_allclose(found.direct[0], straight, atol=0.02)  # a direction stands for a patch
-    assert found.lost.sum() < 1e-3 and len(found.source) == 0
+    assert found.lost.sum() < 1e-3 and len(found.indices) == 0
 
 
 @pytest.mark.parametrize("height", [1.0, 3.0, 40.0])
@@ -133,9 +137,9 @@ def test_in_a_closed_box_all_light_is_bounced():
     assert len(points) == 6 * CHART**2
     found = traced(mesh, points)
     assert found.direct.sum(axis=1).max() < 0.01
-    assert found.first[0] == 0 and found.first[-1] == len(found.source) == len(found.weight)
+    assert found.indptr[0] == 0 and found.indptr[-1] == len(found.indices) == len(found.weight)
     assert found.lost.max() < 0.05, "photos saw everything"
-    total = np.add.reduceat(found.weight, found.first[:-1]) + found.lost
+    total = np.add.reduceat(found.weight, found.indptr[:-1]) + found.lost
     np.testing.assert_allclose(total, 1.0, atol=0.08)
     assert total.mean() == pytest.approx(1.0, abs=0.01)
     arriving = bounced(found, np.ones((len(points), 2), np.float32))
@@ -196,7 +200,7 @@ def test_the_back_of_what_photos_saw_sends_nothing_known():
     assert (points.normal[:, 2] > 0.99).all()
     found = traced(mesh, points)
     below = points.position[:, 2] < 0.5
-    assert len(found.source) == 0
+    assert len(found.indices) == 0
     assert found.lost[below].min() > 0.1 and found.lost[~below].max() < 1e-3
 
 
@@ -204,7 +208,9 @@ def test_gather_averages_linear_colours_by_cell():
     mesh = quads([square()])
     # two pixels in one cell and one in another; then a second photo
     bary = np.array([(0.5, 0.2), (0.5, 0.202), (0.1, 0.8), (0.5, 0.2)])
-    colour = np.array([(0.2, 0.5, 0.9), (0.6, 0.5, 0.1), (0.3, CLIPPED + 0.004, 0.3), (0.4, 0.4, 0.4)])
+    colour = np.array(
+        [(0.2, 0.5, 0.9), (0.6, 0.5, 0.1), (0.3, USUAL.clipped_from + 0.004, 0.3), (0.4, 0.4, 0.4)]
+    )
     cache = cache_of(mesh, [0, 0, 0, 0], bary, colour, [0, 3, 4])
     points, seen = gather(cache, np.array([[0.5, 0.5, 2.0], [0.6, 0.4, 2.0]]))
     assert len(points) == 2 and (points.point_of_cell >= 0).sum() == 2
@@ -221,7 +227,7 @@ def test_gather_averages_linear_colours_by_cell():
         assert seen.pixels[row] == (2 if key == (0, first) else 1)
         assert seen.clipped[row] == (key == (0, other))
     assert (np.diff(seen.photo) >= 0).all()
-    part = seen.of(seen.photo == 1)
+    part = seen.take(seen.photo == 1)
     assert len(part.point) == len(part.colour) == len(part.pixels) == len(part.clipped) == 1
 
 
@@ -237,7 +243,11 @@ def test_points_lie_in_their_cells_and_photos_may_see_nothing():
     points = everywhere(mesh)
     uv = (points.position[:, :2] - 0.0) * CHART / SIDE
     assert points.at(uv).tolist() == list(range(len(points)))
-    assert cells(np.array([[-0.1, 0.0], [1.0, 1.0], [0.0, 1.0 / SIDE]])).tolist() == [0, SIDE**2 - 1, SIDE]
+    assert cells(np.array([[-0.1, 0.0], [1.0, 1.0], [0.0, 1.0 / SIDE]]), SIDE).tolist() == [
+        0,
+        SIDE**2 - 1,
+        SIDE,
+    ]
     half = cache_of(mesh, [0], [(0.3, 0.3)], [(0.5, 0.5, 0.5)], [0, 0, 1, 1])
     points, seen = gather(half, np.full((3, 3), 3.0))
     assert len(points) == 1 and seen.photo.tolist() == [1]
@@ -248,9 +258,9 @@ def test_a_face_is_seen_from_one_side_and_without_area_has_no_normal(side):
     corners = [[(0, 0, 0), (1, 0, 0), (0, 2, 0)], [(0, 0, 0), (1, 1, 1), (2, 2, 2)]]
     flat = Surface(torch.zeros(2, 3, 2), torch.tensor(corners, dtype=torch.float32))
     given = np.arange(2), np.full((2, 2), 20000, np.uint16), np.zeros((2, 3), np.float32), (0.1, 0.1, side)
-    np.testing.assert_array_equal(facing(flat, *given), [(0, 0, side), (0, 0, 0)])
+    np.testing.assert_array_equal(shading_normals(flat, *given), [(0, 0, side), (0, 0, 0)])
     # a camera that sees the face at a grazing angle is still on the same side of it
     tilted = torch.tensor([[(0.8, 0.0, 0.6)] * 3, [(0.0, 0.0, 0.0)] * 3])
     given = *given[:3], (-1.0, 0.0, 0.1 * side)
-    found = facing(replace(flat, normals=tilted), *given)
+    found = shading_normals(replace(flat, normals=tilted), *given)
     np.testing.assert_allclose(found, [(0.8 * side, 0, 0.6 * side), (0, 0, 0)], atol=1e-6)

@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dante_w import __version__
 from dante_w.commands.worker import run
@@ -19,19 +19,26 @@ from dante_w.contract.vocabulary import COMPONENTS, DEVICES, FORMATS, LARGEST_TE
 from dante_w.options import Call, RecoverOptions
 from dante_w.run import distributed
 
+if TYPE_CHECKING:  # it imports torch, which takes seconds: signals come first
+    from dante_w.presets import Preset
+
 #: Words for the components of the light, old ones too.
 COMPONENT_WORDS = sorted({word for each in COMPONENTS for word in (each.name, each.key)})
 
 
-def main(arguments: Sequence[str] | None = None, leave: Callable[[int], Any] = os._exit) -> int:
-    """Parse, run, and return the exit code, or call `leave` with it, see `job.run`."""
+def main(
+    arguments: Sequence[str] | None = None,
+    leave: Callable[[int], Any] = os._exit,
+    settings: Preset | None = None,
+) -> int:
+    """Parse, run, and return the exit code, or call `leave` with it, see `worker.run`; `settings` take the place of the preset's."""
     call = parse(arguments)
     if call.command == "doctor":
         from dante_w.commands.doctor import examine
 
         print(json.dumps(examine()) if call.json else "\n".join(f"{k}: {v}" for k, v in examine().items()))
         return DONE
-    return run(call, leave)
+    return run(call, leave, settings)
 
 
 def parse(arguments: Sequence[str] | None = None) -> Call:

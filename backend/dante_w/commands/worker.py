@@ -15,7 +15,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dante_w.contract.errors import BUG, CANCELLED, DONE, OUT_OF_ROOM, DanteError, OutOfRoom
 from dante_w.contract.protocol import Done, Failed
@@ -25,6 +25,9 @@ from dante_w.run.progress import Progress
 from dante_w.run.result_files import names_to_write
 from dante_w.run.result_folder import abandon, is_full, publish, stage
 from dante_w.run.scratch import discard, scratch
+
+if TYPE_CHECKING:  # it imports torch, which takes seconds: signals come first
+    from dante_w.presets import Preset
 
 #: What ends a run early: Ctrl-C, a polite kill, a closed terminal, and how Windows ends a process group.
 SIGNALS = [
@@ -37,7 +40,7 @@ LOADING = 3 << 29
 _NO_MEMORY = ("allocat", "out of memory", "can't start new thread", "failed to map segment", "bad_alloc")
 
 
-def run(call: Call, leave: Callable[[int], Any] = os._exit) -> int:
+def run(call: Call, leave: Callable[[int], Any] = os._exit, settings: Preset | None = None) -> int:
     """Run `recover`, `average` or `plan`; returns the exit code, or calls `leave` with it where a thread is still at work."""
     if distributed.rank() > 0:  # the first process speaks
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
@@ -55,7 +58,7 @@ def run(call: Call, leave: Callable[[int], Any] = os._exit) -> int:
 
     def work() -> None:
         try:
-            report = _work(call, progress)
+            report = _work(call, progress, settings)
             with publishing:
                 if options.out is None or distributed.rank() > 0:
                     discard(os.getpid())
@@ -104,7 +107,7 @@ def clear(options: RecoverOptions, process: int) -> None:
         abandon(options.out)
 
 
-def _work(call: Call, progress: Progress) -> dict[str, Any]:
+def _work(call: Call, progress: Progress, settings: Preset | None) -> dict[str, Any]:
     progress.update("scene", 0, 1)
     _make_sure_of_room()
     from dante_w.commands import recover  # torch takes seconds to import; signals already work
@@ -116,8 +119,10 @@ def _work(call: Call, progress: Progress) -> dict[str, Any]:
         staging = scratch()
     else:
         staging = stage(options.out, names_to_write(options.format, options.unwrap))
-    work = {"recover": recover.recover, "average": recover.average, "plan": recover.plan}[call.command]
-    return work(options, staging, progress)
+    if call.command == "average":
+        return recover.average(options, staging, progress)
+    work = recover.recover if call.command == "recover" else recover.plan
+    return work(options, staging, progress, settings)
 
 
 def _make_sure_of_room() -> None:

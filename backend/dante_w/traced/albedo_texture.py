@@ -97,7 +97,7 @@ def albedo_texture(
         specular = _specular(shown, scene, lighting, settings)
         bary = np.asarray(cache.bary[part])
         normal = shading_normals(cache.surface, face, bary, place, scene.cameras[photo])
-        surface = _Surface(point, place, normal)
+        surface = Surface(point, place, normal)
         irradiance = direct_irradiance(surface, transport, lighting.radiance[cluster], caster, settings)
         irradiance += lighting.bounce[point, cluster]
         srgb = np.asarray(cache.colour[part], np.float32)
@@ -168,7 +168,7 @@ def _log_albedo(
 
 
 @dataclass(frozen=True)
-class _Surface:
+class Surface:
     """N pixels' surface: `point` (N,) the shading point of each, `place` (N, 3) in the unit cube, unit `normal` (N, 3)."""
 
     point: np.ndarray
@@ -177,7 +177,7 @@ class _Surface:
 
 
 def direct_irradiance(
-    surface: _Surface,
+    surface: Surface,
     transport: LightTransport,
     radiance: np.ndarray,
     caster: Raycaster | None,
