@@ -111,7 +111,14 @@ def parse() -> argparse.Namespace:
 def recover(photos: int, model: str, preset: str, scene: Path, arguments: Sequence[str], result: Path) -> Run:
     """Run the product with its ray cache in files."""
     variant = ROOT / "benchmarks" / "methods" / "variant.py"
-    command = [sys.executable, str(variant), '{"cache_share": 0.0}', "recover", str(scene), *arguments]
+    command = [
+        sys.executable,
+        str(variant),
+        '{"cast.share_of_memory": 0.0}',
+        "recover",
+        str(scene),
+        *arguments,
+    ]
     began = time.monotonic()
     process = subprocess.Popen(
         [*command, "--out", str(result), "--json"], stdout=subprocess.PIPE, encoding="utf-8"

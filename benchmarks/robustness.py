@@ -1,8 +1,7 @@
 """What each weight of the traced method is worth on spoilt photos: `python3 dev.py bench robustness SCENE... [--json]`.
 
 SCENE is a folder as `make_gigalit` writes it. It is spoilt in the ways that real photos are (`measure/spoils.py`), each
-apart, by --seed. The product recovers each copy by traced light; when it comes to the texture, that is made with all weights,
-with each one left out, and with none. Test cameras of the unspoilt scene look at the textures. Prints Markdown tables of albedo PSNR.
+apart, by --seed. The product recovers each copy by traced light with all weights, with each one left out, and with none. Test cameras of the unspoilt scene look at the textures. Prints Markdown tables of albedo PSNR.
 """
 
 from __future__ import annotations
@@ -11,30 +10,34 @@ import argparse
 import json
 import sys
 from contextlib import redirect_stdout
-from dataclasses import asdict, dataclass, fields, replace
-from functools import partial
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 from dante_w.commands import cli
 from dante_w.core.color import srgb_from_linear_array
-from dante_w.scene.images import write_png
-from dante_w.traced import pipeline as solve
-from dante_w.traced.albedo_texture import albedo_texture
-from dante_w.traced.pixel_weights import ALL, Weights
-from dante_w.traced.shading_points import gather
+from dante_w.presets import PRESETS
+from dante_w.scene.images import read_texture, write_png
+from dante_w.traced.pixel_weights import USUAL, PixelWeightSettings
 from measure.command import ROOT
 from measure.machine import provenance, sentence
 from measure.score import AFTER_GAIN, score
 from measure.spoils import SPOILS, spoilt
 
-NAMES = [field.name for field in fields(Weights)]
+#: What leaves each weight out.
+LEFT_OUT: dict[str, Any] = {
+    "clipped": {"clipped_from": float("inf")},
+    "dark": {"noise": 0.0},
+    "edge": {"near_edge": 0},
+    "outlier": {"outlier": float("inf")},
+}
 VARIANTS = {
-    "all weights": ALL,
-    **{f"without {name}": replace(ALL, **{name: False}) for name in NAMES},
-    "none": Weights(**dict.fromkeys(NAMES, False)),
+    "all weights": USUAL,
+    **{f"without {name}": replace(USUAL, **changes) for name, changes in LEFT_OUT.items()},
+    "none": replace(
+        USUAL, **{name: value for changes in LEFT_OUT.values() for name, value in changes.items()}
+    ),
 }
 
 
@@ -91,23 +94,26 @@ def measured(scene: Path, spoil: str, options: argparse.Namespace) -> list[Row]:
 
 
 def textures(scene: Path, out: Path, options: argparse.Namespace) -> dict[str, np.ndarray]:
-    """The product's linear texture (S, S, 3) for each of `VARIANTS`; those that treat edges alike share lights."""
-    found: dict[str, np.ndarray] = {}
-    command = ["recover", str(scene), "--irradiance", "traced", "--preset", options.preset]
+    """The product's linear texture (S, S, 3) for each of `VARIANTS`."""
+    return {
+        variant: recovered(scene, out / variant, weights, options) for variant, weights in VARIANTS.items()
+    }
+
+
+def recovered(
+    scene: Path, out: Path, weights: PixelWeightSettings, options: argparse.Namespace
+) -> np.ndarray:
+    """The linear texture (S, S, 3) that the product recovers with these weights."""
+    preset = PRESETS[options.preset]
+    traced = preset.traced_settings()
+    shading, albedo = replace(traced.shading, weights=weights), replace(traced.albedo, weights=weights)
+    settings = replace(preset, traced=replace(traced, shading=shading, albedo=albedo))
+    command = ["recover", str(scene), "--irradiance", "traced", "--preset", options.preset, "--format", "exr"]
     command += ["--texture-size", str(options.texture_size), "--out", str(out)]
-    for edge in (True, False):
-
-        def each(*arguments: Any, edge: bool = edge, **keywords: Any) -> np.ndarray:
-            for variant, weights in VARIANTS.items():
-                if weights.edge == edge:
-                    found[variant] = texture = albedo_texture(*arguments, **keywords, weights=weights)
-            return texture.copy()
-
-        gathered = partial(gather, weights=replace(ALL, edge=edge))
-        with mock.patch.multiple(solve, albedo_texture=each, gather=gathered), redirect_stdout(sys.stderr):
-            if cli.main(command):
-                sys.exit(f"{scene}: the traced method failed; see above.")
-    return {variant: found[variant] for variant in VARIANTS}
+    with redirect_stdout(sys.stderr):
+        if cli.main(command, settings=settings):
+            sys.exit(f"{scene}: the traced method failed; see above.")
+    return read_texture(out / "albedo.exr")
 
 
 def table(rows: list[Row], scene: str) -> str:

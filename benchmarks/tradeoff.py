@@ -24,16 +24,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import psutil
-from dante_w.commands.recover_traced import DIRECTIONS as PRESET_DIRECTIONS
-from dante_w.commands.recover_traced import LEFT_OUT
-from dante_w.field.presets import PRESETS
+from dante_w.presets import PRESETS
 from measure.command import ROOT
 from measure.curves import draw
 from measure.machine import provenance, sentence
 from measure.pareto import PRESET, Row, pareto_front, table, within_chance
 from measure.scenes import scenes_in
 from measure.score import score
-from methods.variant import CONSTANTS, DIRECTIONS, OUTSIDE, altered
+from methods.variant import altered
 
 VARIANT = ROOT / "benchmarks" / "methods" / "variant.py"
 BASE = "standard"
@@ -52,32 +50,26 @@ _TEXTURES: list[Value] = [
     ("planned", {}),
     *((f"{n}", {"--texture-size": n}) for n in (512, 1024, 2048, 4096)),
 ]
-_RAYS: list[Value] = [("1/16", {"ray_fraction": 1 / 16}), ("1/4", {"ray_fraction": 0.25}), ("1", {})]
 _SEEDS: list[Value] = [("0", {}), ("1", {"--seed": 1}), ("2", {"--seed": 2})]
 _FIELD_KNOBS: dict[str, list[Value]] = {
-    "steps": [(f"{n}", {"schedule.steps": n}) for n in (60, 150, 500, 1000, 2000)],
-    "batch": [(f"{n >> 10}k", {"schedule.batch": n}) for n in (1 << 13, 1 << 15, 1 << 17)],
+    "steps": [(f"{n}", {"field.schedule.steps": n}) for n in (60, 150, 500, 1000, 2000)],
+    "batch": [(f"{n >> 10}k", {"field.schedule.batch": n}) for n in (1 << 13, 1 << 15, 1 << 17)],
     "albedo-finest": [
-        (f"{n} (2^{table})", {"model.albedo.finest": n, "model.albedo.log2_table": table})
+        (f"{n} (2^{table})", {"field.model.albedo.finest": n, "field.model.albedo.log2_table": table})
         for n, table in ((512, 15), (1024, 17), (2048, 19), (4096, 21))
     ],
-    "albedo-table": [(f"2^{n}", {"model.albedo.log2_table": n}) for n in (17, 19, 21)],
-    "albedo-levels": [(f"{n}", {"model.albedo.levels": n}) for n in (8, 12, 16)],
-    "mlp-width": [(f"{n}", {"model.hidden": n}) for n in (16, 32, 64)],
-    "irradiance-finest": [(f"{n}", {"model.irradiance.finest": n}) for n in (8, 16, 32)],
+    "albedo-table": [(f"2^{n}", {"field.model.albedo.log2_table": n}) for n in (17, 19, 21)],
+    "albedo-levels": [(f"{n}", {"field.model.albedo.levels": n}) for n in (8, 12, 16)],
+    "mlp-width": [(f"{n}", {"field.model.hidden": n}) for n in (16, 32, 64)],
+    "irradiance-finest": [(f"{n}", {"field.model.irradiance.finest": n}) for n in (8, 16, 32)],
     "texture-size": _TEXTURES,
-    "ray-fraction": _RAYS,
-    "precision": [("bfloat16", {"decoder_precision": "bfloat16"}), ("float32", {})],
     SEED: _SEEDS,
 }
 _TRACED_KNOBS: dict[str, list[Value]] = {
-    "directions": [(f"{n}", {DIRECTIONS: n}) for n in (16, 32, 64, 128, 256, 400)],
-    "rays a direction": [(f"{n}", {"traced.rays": n}) for n in (1, 3, 9, 27)],
-    "shading points": [(f"{n} x {n}", {"traced.side": n}) for n in (64, 128, 256, 512)],
-    "points a step": [(f"{n}", {"traced.points": n}) for n in (600, 2500, 10000)],
-    "last steps": [(f"{n}", {"traced.last_steps": n}) for n in (5, 7, 14)],
+    "directions": [(f"{n}", {"traced.directions": n}) for n in (16, 32, 64, 128, 256, 400)],
+    "rays a direction": [(f"{n}", {"traced.transport.rays_per_direction": n}) for n in (1, 3, 9, 27)],
+    "shading points": [(f"{n} x {n}", {"traced.shading.side": n}) for n in (64, 128, 256, 512)],
     "texture-size": _TEXTURES,
-    "ray-fraction": _RAYS,
     SEED: _SEEDS,
 }
 KNOBS = {TRACED: _TRACED_KNOBS, FIELD: _FIELD_KNOBS}
@@ -105,25 +97,17 @@ class Setting:
 
     def content(self) -> list[Any]:
         """What runs, however it is called: settings of equal content are one run."""
-        outside = [self.changes.get(name) for name in OUTSIDE]
         preset = altered(PRESETS[self.preset], self.inside)
-        if self.irradiance == FIELD:
-            return [dataclasses.asdict(preset), outside, self.options]
-        numbers = [self.changes.get(name, getattr(module, own)) for name, (module, own) in CONSTANTS.items()]
-        left_out = list(LEFT_OUT.get(self.preset, ()))
-        return [TRACED, preset.texture_size, self.directions, left_out, numbers, outside, self.options]
-
-    @property
-    def directions(self) -> int:
-        """Of traced light."""
-        return int(self.changes.get(DIRECTIONS, PRESET_DIRECTIONS[self.preset]))
+        model = preset.field if self.irradiance == FIELD else preset.traced
+        assert model is not None
+        return [preset.texture_size, dataclasses.asdict(model), self.options]
 
     def expected_seconds(self) -> float:
         """On two cores, roughly."""
-        if self.irradiance == TRACED:
-            return FIXED_SECONDS + DIRECTION_SECONDS * self.directions
         preset = altered(PRESETS[self.preset], self.inside)
-        samples = sum(part.steps * part.batch for part in (preset.schedule, preset.final_pass))
+        if self.irradiance == TRACED:
+            return FIXED_SECONDS + DIRECTION_SECONDS * preset.traced_settings().directions
+        samples = sum(part.steps * part.batch for part in (preset.field.schedule, preset.field.final_pass))
         return FIXED_SECONDS + samples / SAMPLES_PER_SECOND
 
 
@@ -269,7 +253,10 @@ def measure(jobs: Sequence[Job], options: argparse.Namespace) -> None:
             return
         say(f"{done + 1}/{len(missing)} {words}; {left / 60:.0f} minutes left in all")
         if done == 0:  # compiled code is kept from run to run, and the first must not pay for all
-            quick = {"schedule.steps": 60, DIRECTIONS: 16}  # fewer would be refused as telling nothing
+            quick = {
+                "field.schedule.steps": 60,
+                "traced.directions": 16,
+            }  # fewer would be refused as telling nothing
             warm_up = Setting("", "warm-up", quick, irradiance=job.setting.irradiance)
             run(warm_up, job.scene, options.device, options.out)
             start = time.monotonic()

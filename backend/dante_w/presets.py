@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from dante_w.contract.errors import BadInput
 from dante_w.field.presets import PRESETS as FIELD_PRESETS
 from dante_w.field.presets import Preset as FieldSettings
+from dante_w.rays.cast_photos import CAST, CastSettings
 from dante_w.traced.settings import TracedSettings
 from dante_w.traced.shading_points import ShadingSettings
 
@@ -20,12 +21,14 @@ class Preset:
         texture_size: the most texels along a side that a plan takes.
         traced: settings of traced light; None where the preset belongs to the paper's model alone.
         field: settings of the paper's model.
+        cast: how photos' rays are cast.
     """
 
     name: str
     texture_size: int
     traced: TracedSettings | None
     field: FieldSettings
+    cast: CastSettings = CAST
 
     def traced_settings(self) -> TracedSettings:
         """

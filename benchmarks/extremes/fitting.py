@@ -9,6 +9,7 @@ from unittest import mock
 
 import numpy as np
 from dante_w.field.optimise import Schedule
+from dante_w.presets import Preset
 from dante_w.traced.solver import solve_lights as lights
 
 from extremes.judge import MODELS, alike, as_good, between, refused, texel_centres, tried, unspoilt
@@ -26,11 +27,11 @@ def rows(progress: Callable[[str], None]) -> Iterator[Row]:
     base = make()
     own = unspoilt("field")
     progress("learning rate 0")
-    still = replace(TINY, schedule=replace(TINY.schedule, learning_rate=0.0))
+    still = scheduled(replace(TINY.field.schedule, learning_rate=0.0))
     yield refused(FAMILY, "learning rate 0", tried(base, *FIELD, preset=still), "told nothing", code=1)
     for rate in (1.0, 1e3, 1e6, np.inf):
         progress(f"learning rate {rate:g}")
-        wild = replace(TINY, schedule=replace(TINY.schedule, learning_rate=rate))
+        wild = scheduled(replace(TINY.field.schedule, learning_rate=rate))
         outcome = tried(base, *FIELD, preset=wild)
         if rate == np.inf:
             yield refused(FAMILY, "learning rate infinite", outcome, "diverged", code=1)
@@ -43,7 +44,7 @@ def rows(progress: Callable[[str], None]) -> Iterator[Row]:
     yield as_good(
         FAMILY,
         f"{LONG.steps:,} steps of {LONG.batch} samples",
-        tried(base, *FIELD, preset=replace(TINY, schedule=LONG)),
+        tried(base, *FIELD, preset=scheduled(LONG)),
         own,
         3.0,
     )
@@ -60,6 +61,11 @@ def rows(progress: Callable[[str], None]) -> Iterator[Row]:
             yield _told(
                 f"true priors, lambda {weight}, {model}", tried(known, *options, "--lambda", weight), weight
             )
+
+
+def scheduled(schedule: Schedule) -> Preset:
+    """`TINY` with another main pass."""
+    return replace(TINY, field=replace(TINY.field, schedule=schedule))
 
 
 def _astray(name: str, base: World, planned: Outcome, shift: tuple[float, float]) -> Row:

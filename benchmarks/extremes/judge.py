@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from dante_w.field import presets
+from dante_w.presets import Preset
 from measure.metrics import apply_gains, gains, psnr, srgb_from_linear
 
 from extremes.row import Row
@@ -17,7 +17,7 @@ from extremes.world import FIELD, TEXTURE, TINY, TRACED, Outcome, World, albedo_
 MODELS = {"traced": TRACED, "field": FIELD}
 
 
-def tried(world: World, *options: str, preset: presets.Preset = TINY, size: int = TEXTURE) -> Outcome:
+def tried(world: World, *options: str, preset: Preset = TINY, size: int = TEXTURE) -> Outcome:
     """What the command makes of a scene; its files are removed."""
     with tempfile.TemporaryDirectory(prefix="dante-w-stability-") as folder:
         return recover(write(world, Path(folder) / "scene"), *options, preset=preset, size=size)

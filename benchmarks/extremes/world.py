@@ -26,6 +26,7 @@ from dante_w.field.cpu.step import FusedStep
 from dante_w.field.fields import ModelSpec
 from dante_w.field.hash_encoding import GridSpec
 from dante_w.field.optimise import Schedule
+from dante_w.presets import PRESETS, Preset
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.cameras import directions
 from dante_w.scene.images import read_texture, write_exr
@@ -41,13 +42,16 @@ TRACED: tuple[str, ...] = ("--irradiance", "traced")
 FIELD: tuple[str, ...] = ("--irradiance", "field")
 _GRADIENTS, _SOLVE, _TEXTURE = FusedStep.gradients, solve.solve_lights, solve.albedo_texture
 #: The paper's model with little to fit and few steps.
-TINY = presets.Preset(
-    TEXTURE,
-    ModelSpec(GridSpec(2, 8, 2, 4, 128, 14), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4),
-    Schedule(300, 4096, 1e-2),
-    Schedule(60, 4096, 2e-3),
-    presets.WHITE_LIGHT,
-    presets.SMALL_OFFSET,
+TINY = replace(
+    PRESETS["draft"],
+    field=presets.Preset(
+        TEXTURE,
+        ModelSpec(GridSpec(2, 8, 2, 4, 128, 14), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4),
+        Schedule(300, 4096, 1e-2),
+        Schedule(60, 4096, 2e-3),
+        presets.WHITE_LIGHT,
+        presets.SMALL_OFFSET,
+    ),
 )
 
 
@@ -178,7 +182,7 @@ def write(world: World, folder: Path) -> Path:
     return folder
 
 
-def recover(scene: Path, *options: str, preset: presets.Preset = TINY, size: int = TEXTURE) -> Outcome:
+def recover(scene: Path, *options: str, preset: Preset = TINY, size: int = TEXTURE) -> Outcome:
     """Run `dante-w recover` here and now on a scene folder; `preset` stands in for `draft`."""
     out = scene.with_name(scene.name + "-out")
     command = ["recover", str(scene), "--out", str(out), "--preset", "draft", "--format", "exr", "--json"]
@@ -187,12 +191,11 @@ def recover(scene: Path, *options: str, preset: presets.Preset = TINY, size: int
     said = contextlib.redirect_stdout(lines), contextlib.redirect_stderr(log)
     with (
         _signals_kept(),
-        mock.patch.dict(presets.PRESETS, draft=preset),
         _watched() as unsound,
         said[0],
         said[1],
     ):
-        code = cli.main(command)
+        code = cli.main(command, settings=preset)
     return replace(outcome(code, lines.getvalue(), out), unsound=", ".join(unsound))
 
 

@@ -74,7 +74,7 @@ def test_every_knob_has_the_value_of_standard_and_others(irradiance):
 
 
 def test_standard_is_always_measured():
-    assert [s.label for s in settings([], ["precision"], FIELD)] == [BASE, "bfloat16", "float32"]
+    assert [s.label for s in settings([], ["albedo-levels"], FIELD)] == [BASE, "8", "12", "16"]
     assert [s.label for s in settings(["high", "draft"], [])] == ["draft", BASE, "high"]
 
 
@@ -82,20 +82,25 @@ def test_presets_of_traced_light_that_do_the_same_are_one_run():
     def content(**changes) -> list:
         return Setting(PRESET, "", irradiance=TRACED, **changes).content()
 
-    assert content(changes={"traced.directions": 256}) == content() == content(changes={"schedule.steps": 7})
+    assert (
+        content(changes={"traced.directions": 256})
+        == content()
+        == content(changes={"field.schedule.steps": 7})
+    )
     assert content(preset="draft") != content(changes={"traced.directions": 64})  # it leaves suns out
     assert content(preset="high") != content()  # its textures may be larger
 
 
 def test_options_and_changes_are_told_apart():
-    setting = Setting("", "", {"--texture-size": 1024, "schedule.steps": 60})
+    setting = Setting("", "", {"--texture-size": 1024, "field.schedule.steps": 60})
     assert setting.options == ["--texture-size=1024"]
-    assert setting.inside == {"schedule.steps": 60}
+    assert setting.inside == {"field.schedule.steps": 60}
 
 
 def test_expected_seconds_grow_with_the_samples():
     times = [
-        Setting("", "", {"schedule.steps": n}, irradiance=FIELD).expected_seconds() for n in (60, 500, 2000)
+        Setting("", "", {"field.schedule.steps": n}, irradiance=FIELD).expected_seconds()
+        for n in (60, 500, 2000)
     ]
     assert times == sorted(times) and times[2] > 3 * times[1]
     assert Setting("", "", preset="draft").expected_seconds() < Setting("", "").expected_seconds()
@@ -107,10 +112,10 @@ def test_a_kept_run_is_named_after_all_it_hangs_on(scene, tmp_path, monkeypatch)
         return note(tmp_path, Setting("", "", changes, preset, FIELD), scene, [machine])
 
     plain = name({})
-    assert name({"schedule.steps": 500}) == plain  # standard's own
+    assert name({"field.schedule.steps": 500}) == plain  # standard's own
     others = [
-        name({"schedule.steps": 501}),
-        name({"ray_fraction": 0.5}),
+        name({"field.schedule.steps": 501}),
+        name({"field.white_light": 0.5}),
         name({"--texture-size": 1024}),
         name({}, preset="draft"),
         name({}, machine="that"),
@@ -191,23 +196,23 @@ def test_no_run_begins_that_would_end_too_late(scene, tmp_path, runs):
 def test_main_goes_on_where_it_stopped(scene, tmp_path, runs, monkeypatch, capsys):
     out = tmp_path / "out"
     arguments = ["tradeoff", str(scene.parent), "--out", str(out), "--irradiance", "field"]
-    arguments += ["--knobs", "precision", "--json"]
+    arguments += ["--knobs", "mlp-width", "--json"]
     monkeypatch.setattr("sys.argv", [*arguments, "--presets", "draft"])
     tradeoff.main()
-    assert runs == ["warm-up", "draft", BASE, "bfloat16", "float32"]
+    assert runs == ["warm-up", "draft", BASE, "16", "32", "64"]
     monkeypatch.setattr("sys.argv", [*arguments, "--minutes", "2"])
     tradeoff.main()
-    assert runs[5:] == []  # `high` would take longer
-    assert "1 of 5 settings still miss runs" in capsys.readouterr().err
+    assert runs[6:] == []  # `high` would take longer
+    assert "1 of 6 settings still miss runs" in capsys.readouterr().err
     monkeypatch.setattr("sys.argv", arguments)
     tradeoff.main()
-    assert runs[5:] == ["warm-up", "high"]
+    assert runs[6:] == ["warm-up", "high"]
     content = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert content == json.loads((out / "tradeoff-field.json").read_text())
-    assert [row["label"] for row in content["rows"]] == ["draft", BASE, "high", "bfloat16", "float32"]
+    assert [row["label"] for row in content["rows"]] == ["draft", BASE, "high", "16", "32", "64"]
     assert content["made_with"]["device"] == "cpu" and content["made_with"]["objects"] == "cup"
-    assert [run["knob"] for run in content["runs"]] == [PRESET] * 3 + ["precision"] * 2
-    assert set(content["paces"]) == {PRESET, "precision"}
+    assert [run["knob"] for run in content["runs"]] == [PRESET] * 3 + ["mlp-width"] * 3
+    assert set(content["paces"]) == {PRESET, "mlp-width"}
     assert (out / "tradeoff-field.png").is_file()
 
 
@@ -221,12 +226,12 @@ def test_seconds_do_not_hang_on_when_a_knob_was_measured():
     runs = [
         (Setting("steps", "500", irradiance=FIELD), [facts(20.0, 20.0), facts(40.0, 20.0)]),
         (
-            Setting("steps", "60", {"schedule.steps": 60}, irradiance=FIELD),
+            Setting("steps", "60", {"field.schedule.steps": 60}, irradiance=FIELD),
             [facts(8.0, 20.0), facts(16.0, 20.0)],
         ),
         (Setting("rays", "1", irradiance=FIELD), [facts(40.0, 20.0), facts(80.0, 20.0)]),
         (
-            Setting("rays", "1/4", {"ray_fraction": 0.25}, irradiance=FIELD),
+            Setting("rays", "1/4", {"field.schedule.batch": 256}, irradiance=FIELD),
             [facts(16.0, 20.0), facts(32.0, 20.0)],
         ),
         (Setting("seed", "0", irradiance=FIELD), [facts(40.0, 20.0), {}]),

@@ -82,7 +82,7 @@ def recover_field(
     expected = _expect(options, scene, scene3d, size, fitting, staging, progress)
     held = resident()
     kept = open_checkpoints(options, scene, scene3d.mesh)
-    seen = look(scene, scene3d, size, kept, staging, progress)
+    seen = look(scene, scene3d, size, kept, staging, progress, chosen.cast)
     cache, coverage, size = seen.cache, seen.coverage, seen.coverage.width
     if terms.photometric:
         check_exposed(scene, cache)

@@ -65,7 +65,7 @@ def recover_traced(
     start = _start(options, preset, staging, progress)
     scene, scene3d = start.scene, start.scene3d
     checkpoints = open_checkpoints(options, scene, scene3d.mesh)
-    seen = look(scene, scene3d, start.size, checkpoints, staging, progress)
+    seen = look(scene, scene3d, start.size, checkpoints, staging, progress, preset.cast)
     cache, coverage, size = seen.cache, seen.coverage, seen.coverage.width
     check_exposed(scene, cache)
     traced, selection, decisions = _plan(start, cache, settings, progress, checkpoints)

@@ -25,7 +25,7 @@ from dante_w.estimate.expectation import Expectation, Work, predict, since_start
 from dante_w.estimate.memory import cache_bytes, resident, room
 from dante_w.estimate.pace import Texture, measure, take
 from dante_w.options import RecoverOptions
-from dante_w.rays.cast_photos import cast_photos
+from dante_w.rays.cast_photos import CAST, CastSettings, cast_photos
 from dante_w.rays.footprint import glance
 from dante_w.rays.ray_cache import RayCache
 from dante_w.rays.scene3d import Scene3D
@@ -129,11 +129,14 @@ def trace_rays(
     visit: Callable[[np.ndarray, np.ndarray, np.ndarray], None],
     staging: Path,
     progress: Progress,
+    settings: CastSettings = CAST,
 ) -> RayCache:
     spill = staging / "rays"
     spill.mkdir()
     progress.update("rays", 0.0, 1.0)
-    return cast_photos(scene3d, scene.frames, visit, lambda done: progress.update("rays", done, 1.0), spill)
+    return cast_photos(
+        scene3d, scene.frames, visit, lambda done: progress.update("rays", done, 1.0), spill, settings
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,7 +148,13 @@ class Seen:
 
 
 def look(
-    scene: Scene, scene3d: Scene3D, size: int, kept: Checkpoints | None, staging: Path, progress: Progress
+    scene: Scene,
+    scene3d: Scene3D,
+    size: int,
+    kept: Checkpoints | None,
+    staging: Path,
+    progress: Progress,
+    settings: CastSettings = CAST,
 ) -> Seen:
     """Trace the rays and note which of size x size texels they meet, unless that was kept."""
 
@@ -155,7 +164,7 @@ def look(
         def visit(uv: np.ndarray, footprint: np.ndarray, _: np.ndarray) -> None:
             mark(coverage, uv, footprint * size)
 
-        return Seen(trace_rays(scene, scene3d, visit, staging, progress), coverage)
+        return Seen(trace_rays(scene, scene3d, visit, staging, progress, settings), coverage)
 
     return kept.done("rays", Seen, work) if kept else work()
 
