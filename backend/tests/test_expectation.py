@@ -17,6 +17,7 @@ from dante_w.field.fields import ModelSpec
 from dante_w.field.hash_encoding import GridSpec
 from dante_w.field.optimise import LossTerms
 from dante_w.field.presets import PRESETS
+from dante_w.rays.scene3d import Scene3D
 from dante_w.scene.load import load_scene
 
 PACE = Pace(
@@ -73,12 +74,12 @@ def test_one_photo_of_one_pixel_to_one_texel():
 @pytest.mark.parametrize(("photos", "side"), [(1, 1), (6, 32)])
 def test_every_pace_is_measured(tmp_path, photos, side, kind):
     scene, mesh = load_scene(make_scene(tmp_path / "scene", photos))
-    pace = measure(take(scene.frames, mesh), mesh, Texture(side, kind, 2), tmp_path, fitting())
+    pace = measure(take(scene.frames, Scene3D.build(mesh)), mesh, Texture(side, kind), tmp_path, fitting())
     values = dataclasses.asdict(pace)
     assert all(math.isfinite(value) and value > 0.0 for value in values.values()), values
     assert pace.foreground == 1.0
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]
-    unfitted = measure(take(scene.frames, mesh), mesh, Texture(side, kind, 2), tmp_path)
+    unfitted = measure(take(scene.frames, Scene3D.build(mesh)), mesh, Texture(side, kind), tmp_path)
     assert (unfitted.step, unfitted.photo_step, unfitted.render) == (0.0, 0.0, 0.0)
 
 
@@ -87,7 +88,7 @@ def test_measuring_draws_no_random_numbers_of_the_run(tmp_path):
     torch.manual_seed(3)
     np.random.seed(3)
     before = torch.get_rng_state(), np.random.get_state()[1].tolist()
-    measure(take(scene.frames, mesh), mesh, Texture(16, np.uint8, 2), tmp_path, fitting())
+    measure(take(scene.frames, Scene3D.build(mesh)), mesh, Texture(16, np.uint8), tmp_path, fitting())
     assert torch.equal(before[0], torch.get_rng_state())
     assert before[1] == np.random.get_state()[1].tolist()
 
@@ -96,7 +97,9 @@ def test_photos_beside_the_mesh_are_left_to_the_run_to_refuse(tmp_path):
     folder = make_scene(tmp_path / "scene", 2)
     scene, mesh = load_scene(folder)
     aside = dataclasses.replace(mesh, vertices=mesh.vertices + 90.0)
-    pace = measure(take(scene.frames, aside), aside, Texture(16, np.uint8, 2), tmp_path, fitting())
+    pace = measure(
+        take(scene.frames, Scene3D.build(aside)), aside, Texture(16, np.uint8), tmp_path, fitting()
+    )
     assert pace.step > 0.0
 
 
@@ -104,7 +107,10 @@ def test_priors_are_part_of_the_steps(tmp_path):
     scene, mesh = load_scene(make_scene(tmp_path / "scene", 2))
     frames = [dataclasses.replace(frame, albedo=frame.image) for frame in scene.frames]
     only_priors = fitting(photometric=False, prior_weight=1.0)
-    assert measure(take(frames, mesh), mesh, Texture(16, np.uint8, 2), tmp_path, only_priors).step > 0.0
+    assert (
+        measure(take(frames, Scene3D.build(mesh)), mesh, Texture(16, np.uint8), tmp_path, only_priors).step
+        > 0.0
+    )
 
 
 def test_stages_add_up_to_the_total():

@@ -10,6 +10,7 @@ import pytest
 from conftest import make_scene
 from dante_w.estimate.pace import take
 from dante_w.estimate.traced_pace import TracedPace, TracedWork, measure_traced, predict_traced
+from dante_w.rays.scene3d import Scene3D
 from dante_w.scene.load import load_scene
 
 PACE = TracedPace(
@@ -66,7 +67,9 @@ def test_more_work_takes_longer(more, stages):
 def test_every_pace_is_measured_and_the_work_counted(tmp_path, photos):
     scene, mesh = load_scene(make_scene(tmp_path / "scene", photos))
     pixels = photos * 48 * 36
-    pace, work = measure_traced(take(scene.frames, mesh), photos, pixels, 16, 64 * 64, True, True)
+    pace, work = measure_traced(
+        take(scene.frames, Scene3D.build(mesh)), photos, pixels, 16, 64 * 64, True, True
+    )
     values = dataclasses.asdict(pace)
     assert all(math.isfinite(value) and value >= 0.0 for value in values.values()), values
     assert min(value for name, value in values.items() if name != "albedo") > 0.0
@@ -80,7 +83,7 @@ def test_every_pace_is_measured_and_the_work_counted(tmp_path, photos):
 def test_photos_beside_the_mesh_are_left_to_the_run_to_refuse(tmp_path):
     scene, mesh = load_scene(make_scene(tmp_path / "scene", 2))
     aside = dataclasses.replace(mesh, vertices=mesh.vertices + 90.0)
-    pace, work = measure_traced(take(scene.frames, aside), 2, 2 * 48 * 36, 16, 1, True, True)
+    pace, work = measure_traced(take(scene.frames, Scene3D.build(aside)), 2, 2 * 48 * 36, 16, 1, True, True)
     assert work.samples == 0.0
     assert all(map(math.isfinite, predict_traced(pace, work).values()))
 
@@ -89,5 +92,5 @@ def test_measuring_draws_no_random_numbers_of_the_run(tmp_path):
     scene, mesh = load_scene(make_scene(tmp_path / "scene", 2))
     np.random.seed(3)
     before = np.random.get_state()[1].tolist()
-    measure_traced(take(scene.frames, mesh), 2, 2 * 48 * 36, 16, 64, True, True)
+    measure_traced(take(scene.frames, Scene3D.build(mesh)), 2, 2 * 48 * 36, 16, 64, True, True)
     assert before == np.random.get_state()[1].tolist()
