@@ -53,8 +53,6 @@ LONG_PARAMETER_LISTS = frozenset(
     backend/dante_w/estimate/traced_pace.py:measure_traced
     backend/dante_w/field/fit_state.py:keep
     backend/dante_w/field/optimise.py:fit
-    backend/dante_w/texture/bake.py:bake
-    backend/dante_w/texture/bake.py:_write
     backend/dante_w/traced/albedo_texture.py:albedo_texture
     backend/dante_w/traced/light_clusters.py:reassign_photos
     backend/dante_w/traced/light_transport.py:_trace

@@ -10,6 +10,9 @@ from typing import Any
 
 import numba
 
+#: Sums may be reordered and products fused; NaN and infinity keep their meaning.
+_FAST: dict[str, Any] = {"error_model": "numpy", "fastmath": {"reassoc", "contract", "nsz", "arcp"}}
+
 
 def njit(function: Callable[..., Any]) -> Any:
     """Compile on first call; keep the machine code beside the source or else in the user's cache."""
@@ -24,17 +27,6 @@ def njit_parallel(function: Callable[..., Any]) -> Any:
 def njit_parallel_fast(function: Callable[..., Any]) -> Any:
     """The same, with sums reordered and products fused as `njit_fast` may."""
     return _cached(function, parallel=True, **_FAST)
-
-
-#: Sums may be reordered and products fused; NaN and infinity keep their meaning.
-_FAST: dict[str, Any] = {"error_model": "numpy", "fastmath": {"reassoc", "contract", "nsz", "arcp"}}
-
-
-def _cached(function: Callable[..., Any], **options: Any) -> Any:
-    try:
-        return numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # no place is writable (a locked-down machine): compile in each process
-        return numba.njit(**options)(function)
 
 
 def njit_fast(function: Callable[..., Any]) -> Any:
@@ -57,16 +49,36 @@ def njit_inlined(function: Callable[..., Any]) -> Any:
 
 def _fast(function: Callable[..., Any], **options: Any) -> Any:
     options = {"nogil": True, **_FAST, **options}
+    compiled = _cached(function, **options)
+    return compiled if _stamp(compiled, function) else numba.njit(**options)(function)
+
+
+def _cached(function: Callable[..., Any], **options: Any) -> Any:
     try:
-        compiled = numba.njit(cache=True, **options)(function)
-    except RuntimeError:
+        return numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # no place is writable (a locked-down machine): compile in each process
         return numba.njit(**options)(function)
-    compiled._cache._cache_file._source_stamp = _digest(Path(function.__code__.co_filename).parent)
-    return compiled
+
+
+def _stamp(compiled: Any, function: Callable[..., Any]) -> bool:
+    """Have cached code used only while no file of the function's folder has changed.
+
+    Cached code of a function contains that of those it calls, but numba compares the time and size of the function's
+    own file alone and has no public way to name others. So the stamp that it compares is replaced, which is private:
+    `_source_stamp` of numba's index file. Returns False where another version of numba keeps no such stamp; then
+    nothing may be cached, as stale code would give wrong results.
+    """
+    if compiled.stats.cache_path is None:  # nothing is cached
+        return True
+    index: Any = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    if not hasattr(index, "_source_stamp"):
+        return False
+    index._source_stamp = _digest(Path(function.__code__.co_filename).parent)
+    return True
 
 
 @cache
 def _digest(folder: Path) -> str:
-    """Of the sources in a folder; numba itself looks at a function's own file only."""
+    """Of the sources in a folder."""
     sources = sorted(folder.glob("*.py"))
     return hashlib.sha256(b"".join(file.read_bytes() for file in sources)).hexdigest()

@@ -11,7 +11,8 @@ import numpy as np
 from dante_w.contract.errors import BadInput
 from dante_w.contract.scene_folder import Camera
 
-TOLERANCE = 0.01  #: pixels by which a ray may miss the pixel it was cast for
+#: Pixels by which a ray may miss the pixel that it was cast for.
+TOLERANCE = 0.01
 
 
 def directions(camera: Camera, pixels: np.ndarray) -> np.ndarray:
@@ -35,9 +36,9 @@ def directions(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     else:
         model = _colmap(camera)
         flat = np.asarray(model.cam_from_img(pixels), np.float64).reshape(-1, 2)
-        again = model.img_from_cam(np.column_stack([flat, np.ones(len(flat))]))
+        projected = model.img_from_cam(np.column_stack([flat, np.ones(len(flat))]))
         # beyond 90 degrees a fisheye's answer is some other pixel's ray
-        flat[~(np.abs(again - pixels) < TOLERANCE).all(axis=1)] = np.nan
+        flat[~(np.abs(projected - pixels) < TOLERANCE).all(axis=1)] = np.nan
     return np.column_stack([flat[:, 0], -flat[:, 1], -np.ones(len(flat))])
 
 
@@ -74,19 +75,19 @@ def check_camera(camera: Camera) -> None:
 
 
 def _colmap(camera: Camera):  # type: ignore[no-untyped-def]
-    import pycolmap  # here alone: only distorted cameras need it, and it must never meet Pillow
+    import pycolmap  # not above: only distorted cameras need it, and it must never meet Pillow
 
     if camera.model == "EQUIRECTANGULAR":
         raise BadInput("a camera is EQUIRECTANGULAR; cut the panoramas into PINHOLE photos.")
-    known = camera.model in pycolmap.CameraModelId.__members__ and camera.model != "INVALID"
-    made = None
-    if known and 0 < camera.width < 2**31 and 0 < camera.height < 2**31:
-        made = pycolmap.Camera(
+    exists = camera.model in pycolmap.CameraModelId.__members__ and camera.model != "INVALID"
+    model = None
+    if exists and 0 < camera.width < 2**31 and 0 < camera.height < 2**31:
+        model = pycolmap.Camera(
             model=camera.model, width=camera.width, height=camera.height, params=list(camera.params)
         )
-    if made is None or not made.verify_params():  # with too few, pycolmap would read beyond them
+    if model is None or not model.verify_params():  # with too few, pycolmap would read beyond them
         raise BadInput(
             f"camera model {camera.model} with {len(camera.params)} parameters is not one of COLMAP's; "
             "export the cameras again."
         )
-    return made
+    return model

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-#: One photo in this many is held out ...
-ONE_IN = 8
-#: ... from this many photos up.
-FEWEST = 5
+
+@dataclass(frozen=True)
+class HeldOutSettings:
+    """How many photos are held out."""
+
+    #: One photo in this many is held out ...
+    one_in: int = 8
+    #: ... from this many photos up: a fit to fewer could not spare one.
+    fewest: int = 5
 
 
-def choose_held_out(photos: int) -> np.ndarray:
-    """Indices of the held-out photos, evenly spread; at least one from five photos up, none below."""
-    if photos < FEWEST:
+HELD_OUT = HeldOutSettings()
+
+
+def choose_held_out(photos: int, settings: HeldOutSettings = HELD_OUT) -> np.ndarray:
+    """int64 indices of the held-out among so many photos, evenly spread; at least one from `fewest` photos up, none below."""
+    if photos < settings.fewest:
         return np.zeros(0, np.int64)
-    count = max(photos // ONE_IN, 1)
+    count = max(photos // settings.one_in, 1)
     return ((np.arange(count) + 0.5) * photos / count).astype(np.int64)

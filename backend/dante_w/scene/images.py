@@ -20,18 +20,38 @@ from dante_w.contract.errors import BadInput, OutOfRoom
 from dante_w.core.color import linear_from_srgb_array, srgb_from_linear_array
 from dante_w.scene.exposure import log_exposure
 
+#: OpenImageIO's names of the formats that are read.
 FORMATS = ("png", "jpeg", "tiff", "openexr", "hdr", "webp")
-MAX_SAMPLES = 2**30  #: width x height x channels, a 16384 x 16384 RGBA texture; more is a broken header
-BYTES_PER_SAMPLE = 16  #: of memory while a picture is decoded, at most: measured with EXR
-FOREGROUND = 0.95  #: alpha above this is foreground
-_BAND = 256  #: scanlines handed to a writer at once
+#: Width x height x channels, a 16384 x 16384 RGBA texture; more is a broken header.
+MAX_SAMPLES = 2**30
+#: Of memory while a picture is decoded, at most: measured with EXR.
+BYTES_PER_SAMPLE = 16
+#: Scanlines handed to a writer at once.
+_BAND = 256
+
+
+@dataclass(frozen=True)
+class ForegroundSettings:
+    """Which pixels of a photo are explained: those that show the object and nothing beside it."""
+
+    #: Alpha above this: the edge of a cut-out mixes in its background.
+    alpha: float = 0.95
+    #: Value of the mask's first channel, as stored in the file, above this: masks are black and white.
+    mask: float = 0.5
+
+
+FOREGROUND = ForegroundSettings()
 
 
 @dataclass(frozen=True)
 class Photo:
-    """One photo: `srgb` float32 (H, W, 3), sRGB-encoded, above 1 where a float file is brighter than
-    white; `foreground` bool (H, W), the pixels to explain; `linear`, whether it is of a float file, whose radiance has
-    any scale."""
+    """One photo, row 0 at the top.
+
+    Attributes:
+        srgb: (H, W, 3) float32, sRGB-encoded, above 1 where a float file is brighter than white.
+        foreground: (H, W) bool, the pixels to explain.
+        linear: whether its file holds floats, whose radiance has any scale.
+    """
 
     srgb: np.ndarray
     foreground: np.ndarray
@@ -58,11 +78,11 @@ def read_header(path: Path) -> Header:
     return Header(spec.full_width, spec.full_height, log_exposure(spec))
 
 
-def read_photo(path: Path, mask: Path | None = None) -> Photo:
+def read_photo(path: Path, mask: Path | None = None, settings: ForegroundSettings = FOREGROUND) -> Photo:
     """Read a photo, its alpha and its optional mask file.
 
-    Foreground is what has alpha above 0.95 (photos without alpha: everything), is above 0.5 in the mask's
-    first channel, and is finite; other non-finite pixels are set to 0.
+    Foreground is what the alpha (photos without: everything) and the mask's first channel say, where it is finite; pixels
+    that are not finite are set to 0.
 
     Raises:
         BadInput: a file is missing, damaged or too large, or the mask has another size than the photo.
@@ -73,21 +93,21 @@ def read_photo(path: Path, mask: Path | None = None) -> Photo:
     finite = np.isfinite(srgb).all(axis=2)
     if not finite.all():
         srgb[~finite] = 0.0
-    foreground = finite if alpha is None else finite & (alpha > FOREGROUND)
+    foreground = finite if alpha is None else finite & (alpha > settings.alpha)
     if mask is not None:
-        inside = _read(mask)[0][:, :, 0]
-        if inside.shape != foreground.shape:
+        shown = _read(mask)[0][:, :, 0]
+        if shown.shape != foreground.shape:
             raise BadInput(
-                f"{mask}: the mask is {inside.shape[1]} x {inside.shape[0]} pixels but its photo is "
+                f"{mask}: the mask is {shown.shape[1]} x {shown.shape[0]} pixels but its photo is "
                 f"{foreground.shape[1]} x {foreground.shape[0]}; export it at the photo's size."
             )
-        foreground = foreground & (inside > 0.5)
+        foreground = foreground & (shown > settings.mask)
     return Photo(srgb, foreground, linear)
 
 
 def read_prior(path: Path) -> np.ndarray:
-    """Read a picture of albedo: float32 (H, W, 4), sRGB-encoded, and how far each pixel is to be trusted: its alpha, 1
-    without any. NaN where that is 0 or a colour is not finite.
+    """Read a picture of albedo: float32 (H, W, 4), sRGB-encoded albedo and each pixel's weight in [0, 1]: its alpha, 1
+    without any. NaN where the weight is 0 or a colour is not finite.
 
     Raises:
         BadInput: the file is missing, damaged or too large.
@@ -95,9 +115,9 @@ def read_prior(path: Path) -> np.ndarray:
     """
     colour, alpha, linear = _read(path)
     srgb = srgb_from_linear_array(colour) if linear else colour
-    trust = np.ones(srgb.shape[:2], np.float32) if alpha is None else np.clip(alpha, 0.0, 1.0)
-    prior = np.concatenate([srgb, trust[..., None]], axis=2, dtype=np.float32)
-    prior[~(np.isfinite(prior).all(axis=2) & (trust > 0.0))] = np.nan
+    weight = np.ones(srgb.shape[:2], np.float32) if alpha is None else np.clip(alpha, 0.0, 1.0)
+    prior = np.concatenate([srgb, weight[..., None]], axis=2, dtype=np.float32)
+    prior[~(np.isfinite(prior).all(axis=2) & (weight > 0.0))] = np.nan
     return prior
 
 
@@ -165,11 +185,11 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None, bool]:
     """Colour float32 (H, W, 3) as stored, straight; alpha (H, W) or None; whether the colour is linear."""
     source = _open(path)
     spec = source.spec()
-    needed = BYTES_PER_SAMPLE * spec.width * spec.height * spec.nchannels
-    if needed > psutil.virtual_memory().available:  # a file of a few kB may say so
+    size = BYTES_PER_SAMPLE * spec.width * spec.height * spec.nchannels
+    if size > psutil.virtual_memory().available:  # a file of a few kB may say so
         source.close()
         raise OutOfRoom(
-            f"{path}: reading {spec.width} x {spec.height} pixels takes {needed / 1e9:.1f} GB of memory, more than is free; "
+            f"{path}: reading {spec.width} x {spec.height} pixels takes {size / 1e9:.1f} GB of memory, more than is free; "
             "use a smaller image."
         )
     try:

@@ -67,9 +67,9 @@ def _with_priors(frames: list[Frame], folder: Path) -> list[Frame]:
     if not folder.is_dir():
         raise BadInput(f"{folder}: there is no such folder of priors; correct --priors.")
     by_stem = {path.stem: path.resolve() for path in sorted(folder.iterdir()) if path.is_file()}
-    found = [dataclasses.replace(frame, albedo=by_stem.get(frame.image.stem)) for frame in frames]
-    if not any(frame.albedo for frame in found):
+    with_priors = [dataclasses.replace(frame, albedo=by_stem.get(frame.image.stem)) for frame in frames]
+    if not any(frame.albedo for frame in with_priors):
         raise BadInput(
             f"{folder}: no prior is named like a photo ({frames[0].image.name}, ...); rename them."
         )
-    return found
+    return with_priors

@@ -1,4 +1,8 @@
-"""Binary glTF 2.0 (.glb): every triangle of the scene, with its nodes' transforms applied."""
+"""Binary glTF 2.0 (.glb): every triangle of the scene, with its nodes' transforms applied.
+
+By hand: trimesh 5.2 drops UVs of parts without a material and reads damaged files as if
+they were whole; pygltflib reads the JSON alone and leaves accessors and nodes, most of this file, to its user.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +34,7 @@ def parse_glb(data: bytes) -> Arrays:
             struct.error, RecursionError: the file is malformed.
     """
     document, binary = _chunks(data)
-    used = [*document.get("extensionsRequired", []), *document.get("extensionsUsed", [])]
+    extensions = [*document.get("extensionsRequired", []), *document.get("extensionsUsed", [])]
     parts: list[Arrays] = []
     for mesh, matrix in _placed_meshes(document):
         for primitive in document["meshes"][mesh]["primitives"]:
@@ -39,7 +43,7 @@ def parse_glb(data: bytes) -> Arrays:
             part = _primitive(document, binary, primitive)
             if part is not None:
                 parts.append(_moved(part, matrix))
-    if any(name in used for name in _COMPRESSED[1:]):
+    if any(name in extensions for name in _COMPRESSED[1:]):
         raise BadInput("the mesh is compressed (Draco or meshopt); export it without compression.")
     if not parts:
         raise BadInput("the mesh has no faces; export it with its faces.")
@@ -92,19 +96,19 @@ def _placed_meshes(document: dict[str, Any]) -> list[tuple[int, np.ndarray]]:
     else:
         children = {child for node in nodes for child in node.get("children", [])}
         roots = [index for index in range(len(nodes)) if index not in children]
-    found: list[tuple[int, np.ndarray]] = []
-    seen: set[int] = set()
+    meshes: list[tuple[int, np.ndarray]] = []
+    visited: set[int] = set()
     waiting = [(root, np.eye(4)) for root in reversed(roots)]
     while waiting:
         index, parent = waiting.pop()
-        if index in seen or index < 0:
+        if index in visited or index < 0:
             raise ValueError("a node stands below itself or below two others")
-        seen.add(index)
+        visited.add(index)
         matrix = parent @ _local_matrix(nodes[index])
         if "mesh" in nodes[index]:
-            found.append((nodes[index]["mesh"], matrix))
+            meshes.append((nodes[index]["mesh"], matrix))
         waiting += [(child, matrix) for child in reversed(nodes[index].get("children", []))]
-    return found
+    return meshes
 
 
 def _local_matrix(node: dict[str, Any]) -> np.ndarray:
@@ -112,13 +116,13 @@ def _local_matrix(node: dict[str, Any]) -> np.ndarray:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     matrix = np.eye(4)
     x, y, z, w = (float(value) for value in node.get("rotation", (0.0, 0.0, 0.0, 1.0)))
-    turn = [
+    rotation = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
     scale = np.array(node.get("scale", (1.0, 1.0, 1.0)), np.float64).reshape(3)
-    matrix[:3, :3] = np.array(turn) * scale
+    matrix[:3, :3] = np.array(rotation) * scale
     matrix[:3, 3] = np.array(node.get("translation", (0.0, 0.0, 0.0)), np.float64).reshape(3)
     return matrix
 
@@ -160,10 +164,10 @@ def _accessor(document: dict[str, Any], binary: bytes, index: int, width: int) -
     start = view.get("byteOffset", 0)
     if min(start, view["byteLength"]) < 0:
         raise ValueError("a view that begins before its buffer")
-    inside = binary[start : start + view["byteLength"]]
+    data = binary[start : start + view["byteLength"]]
     stride = view.get("byteStride") or kind.itemsize * width
     shape = (accessor["count"], width)
-    values = np.ndarray(shape, kind, inside, accessor.get("byteOffset", 0), (stride, kind.itemsize)).astype(
+    values = np.ndarray(shape, kind, data, accessor.get("byteOffset", 0), (stride, kind.itemsize)).astype(
         np.float64
     )
     if accessor.get("normalized") and kind.kind != "f":
@@ -176,11 +180,11 @@ def _moved(part: Arrays, matrix: np.ndarray) -> Arrays:
     vertices, faces, uvs, normals = part
     if not np.isfinite(matrix).all():
         raise BadInput("a node's transform is not finite; export the mesh again.")
-    turn = matrix[:3, :3]
-    vertices = vertices @ turn.T + matrix[:3, 3]
-    mirrored = np.linalg.det(turn) < 0.0
+    linear = matrix[:3, :3]
+    vertices = vertices @ linear.T + matrix[:3, 3]
+    mirrored = np.linalg.det(linear) < 0.0
     if normals is not None:  # as cross products turn, back to the outer side where mirrored
-        cofactors = np.cross(turn[[1, 2, 0]], turn[[2, 0, 1]])
+        cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
         normals = normals @ (-cofactors if mirrored else cofactors).T
     if mirrored:
         faces = faces[:, ::-1]

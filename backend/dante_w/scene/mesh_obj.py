@@ -37,12 +37,12 @@ def parse_obj(data: bytes) -> Arrays:
     triangles = fan(sizes)
     faces = corners[:, 0][triangles] - 1
     normals = _normals(lines)
-    named = np.where((corners[:, 2] > 0) & (corners[:, 2] <= len(normals)), corners[:, 2], 0)
+    normal_index = np.where((corners[:, 2] > 0) & (corners[:, 2] <= len(normals)), corners[:, 2], 0)
     return (
         vertices,
         faces,
         _at_corners(texture, corners[:, 1][triangles]),
-        _at_corners(normals, named[triangles]),
+        _at_corners(normals, normal_index[triangles]),
     )
 
 
@@ -54,9 +54,10 @@ def _normals(lines: list[bytes]) -> np.ndarray:
         return np.empty((0, 3))
 
 
-def _at_corners(values: np.ndarray, used: np.ndarray) -> np.ndarray | None:
-    """(F, 3, width) what corners (F, 3) name, 1 for the first of `values` (N, width); 0 is no name. None if none names one."""
-    return np.vstack([np.zeros((1, values.shape[1])), values])[used] if used.any() else None
+def _at_corners(values: np.ndarray, index: np.ndarray) -> np.ndarray | None:
+    """(F, 3, width) values at corners by `index` (F, 3), 1 for the first of `values` (N, width); zeros where it is 0. None
+    if it is 0 everywhere."""
+    return np.vstack([np.zeros((1, values.shape[1])), values])[index] if index.any() else None
 
 
 def numbers(lines: list[bytes], columns: int, what: str) -> np.ndarray:
@@ -111,9 +112,9 @@ def _corners(polygons: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
 def _count_from_start(lines: list[bytes], sizes: np.ndarray, corners: np.ndarray) -> None:
     """Replace, in place, indices that count back from their own line by those that count from the start."""
     kinds = np.array([line[:3] for line in lines])
-    here = np.char.startswith(kinds, b"f ")
+    is_face = np.char.startswith(kinds, b"f ")
     for column, keyword in enumerate((b"v ", b"vt ", b"vn ")):
-        seen = np.repeat(np.cumsum(np.char.startswith(kinds, keyword))[here], sizes)
+        count = np.repeat(np.cumsum(np.char.startswith(kinds, keyword))[is_face], sizes)
         negative = corners[:, column] < 0
-        corners[negative, column] += seen[negative] + 1
+        corners[negative, column] += count[negative] + 1
         corners[negative & (corners[:, column] <= 0), column] = -1  # before the first line

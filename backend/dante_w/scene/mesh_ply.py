@@ -1,4 +1,8 @@
-"""PLY, ASCII and binary of either byte order, with polygons, UVs per vertex or per face, and normals per vertex."""
+"""PLY, ASCII and binary of either byte order, with polygons, UVs per vertex or per face, and normals per vertex.
+
+By hand: trimesh 5.2 reads no binary file with polygons of several sizes and no UVs of
+faces, and takes ASCII files that were cut short for whole.
+"""
 
 from __future__ import annotations
 
@@ -70,8 +74,8 @@ def parse_ply(data: bytes) -> Arrays:
     normals = None
     if all(axis in vertex for axis in ("nx", "ny", "nz")):
         with np.errstate(over="ignore"):
-            own = [vertex[axis][0].astype(np.float32) for axis in ("nx", "ny", "nz")]
-        normals = np.stack(own, axis=1)[faces]
+            columns_xyz = [vertex[axis][0].astype(np.float32) for axis in ("nx", "ny", "nz")]
+        normals = np.stack(columns_xyz, axis=1)[faces]
     if "texcoord" in face:
         return vertices, faces, _face_uvs(face["texcoord"], sizes)[triangles], normals
     for u, v in _UV_NAMES:
@@ -132,9 +136,9 @@ def _rows(element: _Element, body: bytes, position: int, order: str) -> tuple[di
             element.properties, kinds, counts, offsets[0], lengths[0], strict=True
         ):
             if count is not None:
-                before = offset - count.itemsize
-                written = np.ndarray((element.count,), count, body, before, (stride,))
-                if not (written == length).all():
+                count_offset = offset - count.itemsize
+                list_lengths = np.ndarray((element.count,), count, body, count_offset, (stride,))
+                if not (list_lengths == length).all():
                     break
             values = np.ndarray((element.count, length), kind, body, offset, (stride, kind.itemsize))
             columns[name] = values.reshape(-1), count and np.full(element.count, length, np.int64)
@@ -168,9 +172,9 @@ def _walk(
         for size, count in steps:
             length = 1
             if count is not None:
-                written = count.unpack_from(body, position)[0]
-                length = int(written)
-                if length != written or length < 0:
+                number = count.unpack_from(body, position)[0]
+                length = int(number)
+                if length != number or length < 0:
                     raise ValueError("a list of no whole length")
                 position += count.size
             offsets.append(position)
