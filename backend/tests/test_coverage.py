@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from dante_w.texture.coverage import empty_coverage, mark, seen
+from dante_w.texture.coverage import empty_coverage, mark, seen_texels
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -31,7 +31,7 @@ def test_no_holes_and_bounded_spill(footprint: float, angle: float, size: tuple[
     keep = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
     coverage = empty_coverage(width, height)
     mark(coverage, np.stack([x[keep] / width, 1 - y[keep] / height], 1), footprint)
-    result = seen(coverage)
+    result = seen_texels(coverage)
     assert result.shape == (height, width) and result.dtype == bool
     i, j = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     inner = 4 * footprint + 2
@@ -54,9 +54,9 @@ def test_rows_order_and_chunks_do_not_matter(seed: int, width: int, height: int)
     for k in rng.permutation(25):
         mark(two, uv[k : k + 1], footprint[k])
     assert all(np.array_equal(a, b) for a, b in zip(one.levels, two.levels, strict=True))
-    whole = seen(one)
+    whole = seen_texels(one)
     cuts = np.unique(np.append(rng.integers(0, height + 1, 5), [0, height])).tolist()
-    parts = [seen(one, rows) for rows in pairwise(cuts)]
+    parts = [seen_texels(one, rows) for rows in pairwise(cuts)]
     assert np.array_equal(np.concatenate(parts), whole)
     own = whole[((1 - uv[:, 1]) * height).astype(int), (uv[:, 0] * width).astype(int)]
     assert own.all()  # the texel that holds a sample is always seen
@@ -65,34 +65,34 @@ def test_rows_order_and_chunks_do_not_matter(seed: int, width: int, height: int)
 def test_closed_forms() -> None:
     coverage = empty_coverage(8, 8)
     mark(coverage, np.array([[0.3, 0.3]]), 0.1)
-    assert np.argwhere(seen(coverage)).tolist() == [[5, 2]]
+    assert np.argwhere(seen_texels(coverage)).tolist() == [[5, 2]]
     coverage = empty_coverage(8, 8)
     mark(coverage, np.array([[0.3, 0.3]]), 1.0)  # at (2.4, 5.6): the 2 x 2 nearest texels
-    assert np.argwhere(seen(coverage)).tolist() == [[5, 1], [5, 2], [6, 1], [6, 2]]
+    assert np.argwhere(seen_texels(coverage)).tolist() == [[5, 1], [5, 2], [6, 1], [6, 2]]
     coverage = empty_coverage(8, 8)
     mark(coverage, np.array([[0.5, 0.5]]), 2.8)  # cells of 2 texels: the middle
-    assert seen(coverage).sum() == 16 and seen(coverage)[2:6, 2:6].all()
+    assert seen_texels(coverage).sum() == 16 and seen_texels(coverage)[2:6, 2:6].all()
     mark(coverage, np.array([[0.5, 0.5]]), 1e30)
-    assert seen(coverage).all()
+    assert seen_texels(coverage).all()
 
 
 def test_corners_of_the_texture_and_samples_to_ignore() -> None:
     coverage = empty_coverage(9, 6)
     mark(coverage, np.array([[0, 0], [1, 0], [0, 1], [1, 1]], float), 0.0)
-    assert np.argwhere(seen(coverage)).tolist() == [[0, 0], [0, 8], [5, 0], [5, 8]]
+    assert np.argwhere(seen_texels(coverage)).tolist() == [[0, 0], [0, 8], [5, 0], [5, 8]]
     coverage = empty_coverage(9, 6)
     bad = np.array([[np.nan, 0.5], [0.5, np.inf], [-0.1, 0.5], [0.5, 1.1], [0.5, 0.5], [0.5, 0.5]])
     mark(coverage, bad, np.array([1, 1, 1, 1, np.nan, np.inf]))
     mark(coverage, np.zeros((0, 2)), 1.0)
-    assert not seen(coverage).any() and seen(coverage, (3, 3)).shape == (0, 9)
+    assert not seen_texels(coverage).any() and seen_texels(coverage, (3, 3)).shape == (0, 9)
     with pytest.raises(ValueError, match="texture"):
         empty_coverage(0, 3)
     with pytest.raises(ValueError, match="rows"):
-        seen(coverage, (0, 7))
+        seen_texels(coverage, (0, 7))
 
 
 def test_memory_depends_on_the_size_alone() -> None:
     assert sum(level.nbytes for level in empty_coverage(4096, 4096).levels) < 4096**2 / 6 + 100
     one = empty_coverage(1, 1)
     mark(one, np.array([[0.2, 0.9]]), 50.0)
-    assert seen(one).tolist() == [[True]]
+    assert seen_texels(one).tolist() == [[True]]

@@ -82,7 +82,9 @@ def test_a_few_pixels_tell_what_all_of_them_do(tmp_path):
     scene, mesh = load_scene(make_scene(tmp_path / "s"), None, None, None)
     cache = cast(mesh, scene.frames, tmp_path)
     found = glance(Scene3D.build(mesh), scene.frames)
-    assert footprint.sharp(found.footprint) == pytest.approx(footprint.sharp(cache.footprint), rel=0.02)
+    assert footprint.sharp_footprint(found.footprint) == pytest.approx(
+        footprint.sharp_footprint(cache.footprint), rel=0.02
+    )
     assert found.share * CAMERA.width * CAMERA.height * 8 == pytest.approx(len(cache), rel=0.03)
 
 

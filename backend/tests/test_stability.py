@@ -20,7 +20,7 @@ from dante_w.field.hash_encoding import GridSpec, HashGrid, encode_reference
 from dante_w.field.optimise import FusedStep, LossTerms, Schedule, TorchStep, fit, model_loss
 from dante_w.field.presets import Preset as FieldSettings
 from dante_w.presets import Preset
-from dante_w.rays.radiance_levels import RADIANCE, levelled
+from dante_w.rays.radiance_levels import RADIANCE, into_range
 from dante_w.rays.ray_cache import Samples
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.images import read_photo, read_texture, write_exr
@@ -170,11 +170,11 @@ def test_setbacks_are_in_the_report(scene, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-8, 1.0, 1e8, 1e20])
-def test_float_photos_of_any_radiance_are_levelled(scale):
+def test_float_photos_of_any_radiance_are_brought_into_range(scale):
     linear = np.random.default_rng(0).uniform(0.01, 0.8, (5000, 3))
     encoded = srgb_from_linear(torch.from_numpy(linear * scale).float()).numpy()
-    found, level = levelled(encoded)
-    wanted, own = levelled(srgb_from_linear(torch.from_numpy(linear).float()).numpy())
+    found, level = into_range(encoded)
+    wanted, own = into_range(srgb_from_linear(torch.from_numpy(linear).float()).numpy())
     np.testing.assert_allclose(found, wanted, atol=2e-5)
     assert level == pytest.approx(own - np.log(scale), abs=1e-4)
     bright = np.quantile(linear_from_srgb(torch.from_numpy(found)).numpy().max(axis=1), 0.99)
@@ -184,18 +184,19 @@ def test_float_photos_of_any_radiance_are_levelled(scale):
 def test_glints_neither_set_the_level_nor_keep_their_brightness():
     encoded = np.full((1000, 3), 0.5, np.float32)
     encoded[:5] = 1e5
-    found, _ = levelled(encoded)
-    assert found[100] == pytest.approx(levelled(encoded[5:])[0][0], abs=1e-6)
+    found, _ = into_range(encoded)
+    assert found[100] == pytest.approx(into_range(encoded[5:])[0][0], abs=1e-6)
     assert found.max() == pytest.approx(float(srgb_from_linear(torch.tensor(RADIANCE.brightest))), rel=1e-5)
     assert (
-        levelled(np.zeros((4, 3), np.float32))[1] == 0.0 and levelled(np.zeros((0, 3), np.float32))[1] == 0.0
+        into_range(np.zeros((4, 3), np.float32))[1] == 0.0
+        and into_range(np.zeros((0, 3), np.float32))[1] == 0.0
     )
 
 
-def test_integer_photos_are_not_levelled(scene, tmp_path):
+def test_integer_photos_keep_their_range(scene, tmp_path):
     frames = read_scene(scene).frames
     cache = cast(square(), frames[:2], tmp_path)
-    assert cache.level is not None and not cache.level.any()
+    assert cache.log_gain is not None and not cache.log_gain.any()
     photo = read_photo(frames[0].image)
     assert set(np.unique(cache.colour[: cache.starts[1]])) <= set(np.unique(photo.srgb.astype(np.float16)))
 

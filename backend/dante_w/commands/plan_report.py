@@ -10,7 +10,7 @@ from dante_w.contract.protocol import YOU_CHOSE, Decision
 from dante_w.contract.text import duration, gigabytes
 from dante_w.estimate.memory import TRANSFER
 from dante_w.field.fields import ModelSpec
-from dante_w.rays.footprint import sharp
+from dante_w.rays.footprint import sharp_footprint
 from dante_w.rays.ray_cache import sample_bytes
 
 #: Texels along a side that a plan takes at least.
@@ -36,7 +36,7 @@ def texture_side(
         return most, _texture(
             most, texel, "no pixel that was tried sees the mesh, so it is the preset's most"
         )
-    wanted = 1.0 / sharp(footprint)
+    wanted = 1.0 / sharp_footprint(footprint)
     side = min(1 << math.ceil(math.log2(max(wanted, LEAST_SIDE))), most)
     reason = f"the photos' sharper pixels are {wanted:,.0f} to its side"
     if side < wanted:

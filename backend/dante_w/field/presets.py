@@ -10,14 +10,14 @@ import numpy as np
 from dante_w.field.fields import ModelSpec
 from dante_w.field.hash_encoding import GridSpec
 from dante_w.field.optimise import Schedule
-from dante_w.rays.footprint import sharp
+from dante_w.rays.footprint import sharp_footprint
 from dante_w.rays.ray_cache import RayCache
 
 #: Without priors, on the four objects of the README: 0.85 dB more on average (after one gain per channel).
 WHITE_LIGHT, SMALL_OFFSET = 0.05, 0.2
 
 #: How many samples' footprints are looked at. On the four objects of the README, with one seed, to leave out what is finer than
-#: `sharp` costs nothing on average and saves a quarter of the fit's time.
+#: `sharp_footprint` costs nothing on average and saves a quarter of the fit's time.
 LOOKED_AT = 1 << 17
 #: Albedo is at least this much finer than irradiance.
 LEAST_GAP = 4
@@ -68,7 +68,7 @@ def sized(model: ModelSpec, texture_size: int, cache: RayCache) -> ModelSpec:
     finest = min(albedo.finest, texture_size)
     if cache.footprint is not None:
         some = cache.footprint[:: max(len(cache) // LOOKED_AT, 1)].astype(np.float32)
-        finest = min(finest, math.ceil(1.0 / max(sharp(some), 1.0 / finest)))
+        finest = min(finest, math.ceil(1.0 / max(sharp_footprint(some), 1.0 / finest)))
     finest = max(finest, min(albedo.finest, LEAST_GAP * model.irradiance.finest), albedo.coarsest)
     if albedo.levels == 1:
         return replace(model, albedo=replace(albedo, finest=finest))

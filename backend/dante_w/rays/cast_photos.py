@@ -17,7 +17,7 @@ from dante_w.core.jit import njit_fast
 from dante_w.rays.depth_edges import EDGES, EdgeSettings, edge_distances
 from dante_w.rays.finest_footprint import no_footprints, note_finest
 from dante_w.rays.normals import NORMALS, NormalSettings, corner_normals
-from dante_w.rays.radiance_levels import RADIANCE, RadianceSettings, levelled
+from dante_w.rays.radiance_levels import RADIANCE, RadianceSettings, into_range
 from dante_w.rays.ray_cache import PhotoSamples, RayCache, RayCacheBuilder, Surface, sample_bytes
 from dante_w.rays.raycast import Hits
 from dante_w.rays.scene3d import Scene3D
@@ -86,9 +86,9 @@ def cast_photos(
                 loading.append(readers.submit(_read, frames[index + 2]))
             pixel, face, bary, footprint, edge = _cast_photo(frame, photo, scene3d, settings)
             colour = photo.srgb.reshape(-1, 3)[pixel]
-            stored, level = levelled(colour, settings.radiance) if photo.linear else (colour, 0.0)
+            stored, log_gain = into_range(colour, settings.radiance) if photo.linear else (colour, 0.0)
             albedo = None if albedo is None else albedo.reshape(-1, 4)[pixel]
-            builder.add(PhotoSamples(face, bary, stored, footprint, edge, albedo, level))
+            builder.add(PhotoSamples(face, bary, stored, footprint, edge, albedo, log_gain))
             any_foreground = any_foreground or bool(photo.foreground.any())
             uv = _interpolate(uvs, face, bary)
             note_finest(uv, footprint.astype(np.float16).astype(np.float32), finest)

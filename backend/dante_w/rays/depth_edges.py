@@ -34,14 +34,14 @@ def edge_distances(depth: np.ndarray, focal: float, settings: EdgeSettings = EDG
     [[0, 0, 1, 0, 0]]
     """
     distance = np.full(depth.shape, settings.reach, np.uint8)
-    for near, across in (
+    for first, second in (
         (np.s_[:, 1:], np.s_[:, :-1]),
         (np.s_[1:], np.s_[:-1]),
     ):
-        a, b = depth[near], depth[across]
+        a, b = depth[first], depth[second]
         jump = np.abs(a - b) > settings.steepness / focal * np.minimum(a, b)
-        distance[near][jump] = 0
-        distance[across][jump] = 0
+        distance[first][jump] = 0
+        distance[second][jump] = 0
     for step in range(1, settings.reach):
         reached = distance < step
         reached[1:] |= reached[:-1].copy()

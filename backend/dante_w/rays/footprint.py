@@ -64,6 +64,6 @@ def glance(scene3d: Scene3D, frames: list[Frame], settings: GlanceSettings = GLA
     return Glance(footprint, len(footprint) / cast)
 
 
-def sharp(footprint: np.ndarray, settings: GlanceSettings = GLANCE) -> float:
+def sharp_footprint(footprint: np.ndarray, settings: GlanceSettings = GLANCE) -> float:
     """The footprint that all but the `sharpest` of some (N,) reach or exceed."""
     return float(np.quantile(footprint, settings.sharpest))

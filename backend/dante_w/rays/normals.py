@@ -50,9 +50,9 @@ def corner_normals(
         normals /= np.where(length > 0.0, length, 1.0)
         cosine = np.einsum("fcx,fx->fc", normals, face_normals)
         normals *= np.sign(cosine)[:, :, None]
-    sound = np.abs(cosine) > 0.0  # neither 0 nor NaN
-    if not sound.all():
-        normals[~sound] = _smooth(mesh, corners, face_normals, settings)[~sound]
+    valid = np.abs(cosine) > 0.0  # neither 0 nor NaN
+    if not valid.all():
+        normals[~valid] = _smooth(mesh, corners, face_normals, settings)[~valid]
     return normals
 
 

@@ -24,7 +24,7 @@ class RadianceSettings:
 RADIANCE = RadianceSettings()
 
 
-def levelled(srgb: np.ndarray, settings: RadianceSettings = RADIANCE) -> tuple[np.ndarray, float]:
+def into_range(srgb: np.ndarray, settings: RadianceSettings = RADIANCE) -> tuple[np.ndarray, float]:
     """Bring a float photo's samples into range; a photo without light stays as it is.
 
     Args:

@@ -89,8 +89,8 @@ class RayCache:
         finest: (cells, cells) float32, the smallest footprint in each cell of the texture, infinite where no photo
             looks; None if unknown. A sample weighs (finest / footprint)^2 there, see `finest_footprint`.
         edge: (N,) uint8, pixels from the next edge in the photo's depth, see `depth_edges`; None if unknown.
-        level: (K,) log of what the linear colours of each photo were multiplied with; None: with nothing. It is not 0
-            for float photos alone.
+        log_gain: (K,) log of what the linear colours of each photo were multiplied with; None: with nothing. It is not
+            0 for float photos alone.
     """
 
     surface: Surface
@@ -102,7 +102,7 @@ class RayCache:
     footprint: np.ndarray | None = None
     finest: np.ndarray | None = None
     edge: np.ndarray | None = None
-    level: np.ndarray | None = None
+    log_gain: np.ndarray | None = None
 
     def __len__(self) -> int:
         return int(self.starts[-1])
@@ -169,7 +169,7 @@ class PhotoSamples:
 
     Attributes:
         face: (N,) integers. bary: (N, 2) floats in [0, 1], weights of the face's second and third corner.
-        colour: (N, 3) float32, sRGB-encoded. level: log of what its linear colours were multiplied with.
+        colour: (N, 3) float32, sRGB-encoded. log_gain: log of what its linear colours were multiplied with.
         footprint: (N,) parts of the texture's side. edge: (N,) uint8, see `RayCache`.
         prior: (N, 4) float32, see `Samples`; None if this photo has none.
     """
@@ -180,7 +180,7 @@ class PhotoSamples:
     footprint: np.ndarray
     edge: np.ndarray
     prior: np.ndarray | None = None
-    level: float = 0.0
+    log_gain: float = 0.0
 
     def __len__(self) -> int:
         return len(self.face)
@@ -199,7 +199,7 @@ class RayCacheBuilder:
             name: _Column(folder / name if folder else None, *field) for name, field in _fields(prior).items()
         }
         self._counts: list[int] = []
-        self._levels: list[float] = []
+        self._log_gains: list[float] = []
 
     def __len__(self) -> int:
         return sum(self._counts)
@@ -215,14 +215,16 @@ class RayCacheBuilder:
             missing = np.full((len(photo), 4), np.nan, np.float16)
             self._columns["prior"].append(missing if photo.prior is None else photo.prior.clip(0.0, 1.0))
         self._counts.append(len(photo))
-        self._levels.append(photo.level)
+        self._log_gains.append(photo.log_gain)
 
     def finish(self, surface: Surface, finest: np.ndarray | None = None) -> RayCache:
         """The cache of all photos, on this surface; no `add` after this."""
         arrays: dict[str, Any] = {name: column.finish() for name, column in self._columns.items()}
         starts = np.concatenate([[0], np.cumsum(self._counts)]).astype(np.int64)
         prior = arrays.pop("prior", None)
-        return RayCache(surface, starts, prior=prior, finest=finest, level=np.array(self._levels), **arrays)
+        return RayCache(
+            surface, starts, prior=prior, finest=finest, log_gain=np.array(self._log_gains), **arrays
+        )
 
 
 class _Column:

@@ -248,16 +248,16 @@ def _write(path: Path, pixels: np.ndarray, attributes: dict[str, str]) -> None:
         raise BadInput(
             f"{path}: cannot be written ({_reason(target or oiio)}); choose a folder you may write to."
         )
-    whole = True
+    complete = True
     for top in range(0, height, _BAND):
         band = np.ascontiguousarray(pixels[top : top + _BAND]).reshape(-1, width, spec.nchannels)
         # the PNG writer says True on a full disk; writing on after a failure can hang
-        whole = target.write_scanlines(top, top + len(band), 0, band) and not target.has_error
-        if not whole:
+        complete = target.write_scanlines(top, top + len(band), 0, band) and not target.has_error
+        if not complete:
             break
     reason = _reason(target)
-    whole = target.close() and whole
-    if not (whole and _ends_well(path, height)):
+    complete = target.close() and complete
+    if not (complete and _ends_well(path, height)):
         if not path.is_symlink():
             path.unlink(missing_ok=True)
         raise OutOfRoom(f"{path}: could not be written whole ({reason}); free some disk space.")

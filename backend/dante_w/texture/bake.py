@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dante_w.core.jit import njit
-from dante_w.texture.coverage import Coverage, seen
+from dante_w.texture.coverage import Coverage, seen_texels
 from dante_w.texture.encoding import decode_rows, encode_rows
 from dante_w.texture.pyramid_fill import Pyramid, empty_pyramid
 from dante_w.texture.rasterise import Bins, bin_faces, rasterise_bins, rasterise_border
@@ -125,7 +125,7 @@ def _evaluate_band(
     width, height = bins.width, bins.height
     owner = rasterise_bins(bins, rows)
     above, below = max(r0 - 2, 0), min(r1 + 2, height)
-    band_seen = seen(coverage, (above, below))
+    band_seen = seen_texels(coverage, (above, below))
     marks = np.where(owner < 0, OUTSIDE, FILLED).astype(np.uint8).reshape(-1)
 
     def paint(index: np.ndarray, uv: np.ndarray, mark: int) -> None:
@@ -193,16 +193,16 @@ def _nearest(marks: np.ndarray, top: int, bottom: int, gutter: int) -> np.ndarra
     promises none.
     """
     rows, width = marks.shape
-    far = gutter + 1
+    limit = gutter + 1
     # signed rows to the nearest marked texel of the column
-    near = np.full((bottom - top, width), far, np.int32)
+    near = np.full((bottom - top, width), limit, np.int32)
     for i in range(width):
-        since = far
+        since = limit
         for j in range(rows):
             since = 0 if marks[j, i] > 0 else since + 1
-            if top <= j < bottom and since < far:
+            if top <= j < bottom and since < limit:
                 near[j - top, i] = -since
-        since = far
+        since = limit
         for j in range(rows - 1, -1, -1):
             since = 0 if marks[j, i] > 0 else since + 1
             if top <= j < bottom and since < abs(near[j - top, i]):
@@ -212,8 +212,8 @@ def _nearest(marks: np.ndarray, top: int, bottom: int, gutter: int) -> np.ndarra
         for i in range(width):
             if near[j, i] == 0:
                 continue
-            best = far * far
-            for reach in range(far):
+            best = limit * limit
+            for reach in range(limit):
                 if reach * reach >= best:
                     break
                 for side in range(-1, 2, 2):

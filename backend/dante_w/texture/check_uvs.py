@@ -73,10 +73,10 @@ def overlap_fraction(uvs: np.ndarray, size: int = UVS.side, margin: float = UVS.
         0 when no triangle covers a texel.
     """
     bins = bin_faces(uvs, size, size)
-    covered = doubled = 0
+    on_mesh = overlapping = 0
     for start in range(0, size, _BAND):
         rows = (start, min(start + _BAND, size))
         count = count_bins(bins, rows, margin)
-        covered += int(np.count_nonzero((rasterise_bins(bins, rows) >= 0) | (count > 0)))
-        doubled += int(np.count_nonzero(count > 1))
-    return doubled / covered if covered else 0.0
+        on_mesh += int(np.count_nonzero((rasterise_bins(bins, rows) >= 0) | (count > 0)))
+        overlapping += int(np.count_nonzero(count > 1))
+    return overlapping / on_mesh if on_mesh else 0.0

@@ -69,7 +69,7 @@ def mark(coverage: Coverage, uv: np.ndarray, footprint: np.ndarray | float) -> N
         _mark(coverage.levels[k], columns, x[members] / 2.0**k, y[members] / 2.0**k, bool(fine < 0))
 
 
-def seen(coverage: Coverage, rows: tuple[int, int] | None = None) -> np.ndarray:
+def seen_texels(coverage: Coverage, rows: tuple[int, int] | None = None) -> np.ndarray:
     """(r1 - r0, W) bool: which texels of rows r0 <= j < r1 (default: all) the samples saw."""
     r0, r1 = rows or (0, coverage.height)
     if not 0 <= r0 <= r1 <= coverage.height:

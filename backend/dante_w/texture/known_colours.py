@@ -16,8 +16,7 @@ from dante_w.contract.errors import BadInput
 from dante_w.contract.known_colour import KnownColour
 from dante_w.core.color import linear_from_srgb_array
 from dante_w.texture.bake import Texels
-from dante_w.texture.coverage import Coverage
-from dante_w.texture.coverage import seen as seen_texels
+from dante_w.texture.coverage import Coverage, seen_texels
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ KNOWN_COLOURS = KnownColourSettings()
 def known_gain(
     texels: Texels,
     coverage: Coverage,
-    known: Sequence[KnownColour],
+    spots: Sequence[KnownColour],
     settings: KnownColourSettings = KNOWN_COLOURS,
 ) -> np.ndarray:
     """The gain (3,) float64 on linear albedo that brings `texels` to the known colours; 1 if there are none.
@@ -46,20 +45,20 @@ def known_gain(
     Raises:
         BadInput: see `gain`.
     """
-    if not known:
+    if not spots:
         return np.ones(3)
     side = min(coverage.width, settings.side)
     centre = (np.arange(side) + 0.5) / side
     u, v = np.meshgrid(centre, 1.0 - centre)
     texture = texels(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(side, side, 3)
     place = (centre * coverage.width).astype(np.int64)
-    return gain(texture, seen_texels(coverage)[np.ix_(place, place)], known, settings)
+    return gain(texture, seen_texels(coverage)[np.ix_(place, place)], spots, settings)
 
 
 def gain(
     texture: np.ndarray,
     seen: np.ndarray,
-    known: Sequence[KnownColour],
+    spots: Sequence[KnownColour],
     settings: KnownColourSettings = KNOWN_COLOURS,
 ) -> np.ndarray:
     """The gain (3,) float64 on linear albedo that brings the spots to their known colours.
@@ -67,14 +66,14 @@ def gain(
     Args:
         texture: (H, W, 3) linear albedo as recovered; row 0 is the top row.
         seen: (H, W) bool, the texels that a photo saw; only these count.
-        known: one spot or more. With none but grey spots the gain has a geometric mean of 1.
+        spots: one or more. With none but grey spots the gain has a geometric mean of 1.
 
     Raises:
         BadInput: a spot is of no use, as no photo saw it or it was recovered as black.
     """
-    log_gain = np.log([_spot_gain(texture, seen, spot, settings) for spot in known])
+    log_gain = np.log([_spot_gain(texture, seen, spot, settings) for spot in spots])
     log_scale = log_gain.mean(axis=1)
-    known_scale = log_scale[[spot.albedo_srgb is not None for spot in known]]
+    known_scale = log_scale[[spot.albedo_srgb is not None for spot in spots]]
     white_balance = (log_gain - log_scale[:, None]).mean(axis=0)
     return np.exp(white_balance + (known_scale.mean() if len(known_scale) else 0.0))
 

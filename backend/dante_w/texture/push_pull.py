@@ -40,10 +40,10 @@ def pull_known(colour: np.ndarray, known: np.ndarray, coarse: np.ndarray) -> Non
 
 
 @njit
-def push(total: np.ndarray, first: int, coarse: np.ndarray, above: int, out: np.ndarray) -> None:
+def push(total: np.ndarray, first: int, coarse: np.ndarray, coarse_first: int, out: np.ndarray) -> None:
     """Colours (h, w, 3 or more) `out`, which may be `total` itself, of the cells of `total`, and of `coarse` above.
 
-    Row 0 of `total` is row `first` of its level; row 0 of `coarse`, colours, is row `above` of its.
+    Row 0 of `total` is row `first` of its level; row 0 of `coarse`, colours, is row `coarse_first` of its.
     """
     for j in range(total.shape[0]):
         for i in range(total.shape[1]):
@@ -52,23 +52,23 @@ def push(total: np.ndarray, first: int, coarse: np.ndarray, above: int, out: np.
                 for c in range(3):
                     out[j, i, c] = total[j, i, c] / weight
             else:
-                _interpolate(coarse, above, first + j, i, out[j, i])
+                _interpolate(coarse, coarse_first, first + j, i, out[j, i])
 
 
 @njit
 def interpolate_at(
-    coarse: np.ndarray, above: int, row: np.ndarray, column: np.ndarray, out: np.ndarray
+    coarse: np.ndarray, coarse_first: int, row: np.ndarray, column: np.ndarray, out: np.ndarray
 ) -> None:
-    """Colours (N, 3) `out` of the cells at (row, column) of the level below `coarse`, which begins at its row `above`."""
+    """Colours (N, 3) `out` of the cells at (row, column) of the level below `coarse`, which begins at its row `coarse_first`."""
     for n in range(len(row)):
-        _interpolate(coarse, above, row[n], column[n], out[n])
+        _interpolate(coarse, coarse_first, row[n], column[n], out[n])
 
 
 @njit
-def _interpolate(coarse: np.ndarray, above: int, j: int, i: int, out: np.ndarray) -> None:
+def _interpolate(coarse: np.ndarray, coarse_first: int, j: int, i: int, out: np.ndarray) -> None:
     """Bilinear value of the level above at the centre of cell (j, i); beyond `coarse` its edge continues."""
     last_row, last_column = coarse.shape[0] - 1, coarse.shape[1] - 1
-    row, column = min(j // 2 - above, last_row), min(i // 2, last_column)
+    row, column = min(j // 2 - coarse_first, last_row), min(i // 2, last_column)
     other_row = min(max(row + (1 if j % 2 else -1), 0), last_row)
     other = min(max(column + (1 if i % 2 else -1), 0), last_column)
     for c in range(3):

@@ -25,14 +25,14 @@ class Pyramid:
         width, height: texels of the texture.
         level: the finest level kept whole; its cells are 2^level texels wide.
         total: (h, w, 4) float32 sums of linear colour and count there.
-        solved: levels `level`, level + 1, ..., each (h, w, 3) float32 linear colours.
+        filled: levels `level`, level + 1, ..., each (h, w, 3) float32 linear colours.
     """
 
     width: int
     height: int
     level: int
     total: np.ndarray
-    solved: list[np.ndarray] = field(default_factory=list)
+    filled: list[np.ndarray] = field(default_factory=list)
 
     def add(self, row: np.ndarray, column: np.ndarray, colour: np.ndarray) -> None:
         """Known texels: (N,) rows and columns, (N, 3) float32 linear colours."""
@@ -44,10 +44,10 @@ class Pyramid:
         while max(totals[-1].shape[:2]) > 1:
             totals.append(_pulled(totals[-1]))
         grey = np.full((1, 1, 3), NOTHING_KNOWN, np.float32)
-        solved = [_pushed(totals.pop(), 0, grey, 0)]
+        filled = [_pushed(totals.pop(), 0, grey, 0)]
         while totals:
-            solved.append(_pushed(totals.pop(), 0, solved[-1], 0))
-        self.solved = solved[::-1]
+            filled.append(_pushed(totals.pop(), 0, filled[-1], 0))
+        self.filled = filled[::-1]
         self.total = self.total[:0]
 
     def needs(self, rows: tuple[int, int]) -> tuple[int, int]:
@@ -73,12 +73,12 @@ class Pyramid:
             known: (n, W) bool for the same rows.
         """
         if self.level == 0:
-            return self.solved[0][row, column]
+            return self.filled[0][row, column]
         first = self.needs(rows)[0]  # a multiple of 2^level, so pairs of rows start at its row on every level
         totals: list[np.ndarray] = []
         for _ in range(1, self.level):
             totals.append(_pulled(totals[-1]) if totals else _pulled_known(colour, known))
-        finer, top = self.solved[0], 0
+        finer, top = self.filled[0], 0
         for level in range(self.level - 1, 0, -1):
             finer, top = _pushed(totals.pop(), first >> level, finer, top), first >> level
         out = np.empty((len(row), 3), np.float32)
@@ -112,7 +112,7 @@ def _pulled_known(colour: np.ndarray, known: np.ndarray) -> np.ndarray:
     return coarse
 
 
-def _pushed(total: np.ndarray, first: int, coarse: np.ndarray, above: int) -> np.ndarray:
+def _pushed(total: np.ndarray, first: int, coarse: np.ndarray, coarse_first: int) -> np.ndarray:
     out = np.empty((*total.shape[:2], 3), np.float32)
-    push(total, first, coarse, above, out)
+    push(total, first, coarse, coarse_first, out)
     return out

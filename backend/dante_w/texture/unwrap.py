@@ -112,11 +112,11 @@ def _run_child(
         stdout=subprocess.PIPE,
         creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
     )
-    began = time.monotonic()
+    start = time.monotonic()
     result: bytes | None = None
     try:
         while result is None:
-            share = (time.monotonic() - began) / max(expected, 1e-3)
+            share = (time.monotonic() - start) / max(expected, 1e-3)
             progress(share / (1.0 + share))  # never done before it is
             with contextlib.suppress(subprocess.TimeoutExpired):
                 result, _ = child.communicate(data, timeout=settings.interval)

@@ -120,7 +120,7 @@ def gather(
     used = np.flatnonzero(np.isfinite(nearest))
     point_of_cell = np.full(count, -1, np.int32)
     point_of_cell[used] = np.arange(len(used))
-    observations = Observations(point_of_cell[cell], photo_of, colour, pixels, clipped, cache.level)
+    observations = Observations(point_of_cell[cell], photo_of, colour, pixels, clipped, cache.log_gain)
     points = ShadingPoints(point_of_cell, position[used], normal[used])
     return _on_one_side(points, observations, cameras, settings.other_side)
 
