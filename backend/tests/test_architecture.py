@@ -37,7 +37,6 @@ CIRCLES = frozenset(
 LONG_FILES = frozenset(
     str.split("""
     backend/dante_w/traced/solver/solve_lights.py
-    backend/tests/test_mesh.py
     backend/tests/test_recover.py
     backend/tests/test_scene_folder.py
     benchmarks/extremes/broken_files.py
