@@ -115,7 +115,7 @@ class RayCache:
         return replace(self, starts=np.searchsorted(index, self.starts), **columns)
 
     def forget(self) -> None:
-        """Give back the memory of what was read from files; it is read again when it is asked for."""
+        """Give back the memory of what was read from files; it is read again when it is used."""
         for column in self._columns().values():
             file = None if column is None else column.base
             if isinstance(file, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):

@@ -31,7 +31,8 @@ class Scene3D:
 
     @classmethod
     def build(cls, mesh: Mesh) -> Scene3D:
-        """
+        """The scene of a mesh, with UVs or without.
+
         Raises:
             MemoryError: there is none for the BVH.
         """

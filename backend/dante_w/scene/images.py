@@ -60,7 +60,7 @@ class Photo:
 
 @dataclass(frozen=True)
 class Header:
-    """What an image's file says before its pixels: size in pixels, and `exposure.log_exposure`."""
+    """The header of an image's file: size in pixels, and `exposure.log_exposure`."""
 
     width: int
     height: int
@@ -68,7 +68,8 @@ class Header:
 
 
 def read_header(path: Path) -> Header:
-    """
+    """The header of an image; its pixels are not read.
+
     Raises:
         BadInput: the file is missing or not an image.
     """
@@ -81,8 +82,8 @@ def read_header(path: Path) -> Header:
 def read_photo(path: Path, mask: Path | None = None, settings: ForegroundSettings = FOREGROUND) -> Photo:
     """Read a photo, its alpha and its optional mask file.
 
-    Foreground is what the alpha (photos without: everything) and the mask's first channel say, where it is finite; pixels
-    that are not finite are set to 0.
+    Foreground is what lies inside the alpha (photos without: everything), inside the mask's first channel, and is finite;
+    pixels that are not finite are set to 0.
 
     Raises:
         BadInput: a file is missing, damaged or too large, or the mask has another size than the photo.
@@ -251,7 +252,7 @@ def _write(path: Path, pixels: np.ndarray, attributes: dict[str, str]) -> None:
     complete = True
     for top in range(0, height, _BAND):
         band = np.ascontiguousarray(pixels[top : top + _BAND]).reshape(-1, width, spec.nchannels)
-        # the PNG writer says True on a full disk; writing on after a failure can hang
+        # the PNG writer returns True on a full disk; writing on after a failure can hang
         complete = target.write_scanlines(top, top + len(band), 0, band) and not target.has_error
         if not complete:
             break

@@ -46,7 +46,7 @@ def _has_transforms(path: Path) -> bool:
 
 
 def _with_header(frame: Frame) -> Frame:
-    """The frame with what its photo's header says; refuses a photo or prior whose size does not fit."""
+    """The frame with the exposure of its photo's header; refuses a photo or prior whose size does not fit."""
     photo, camera = read_header(frame.image), frame.camera
     if (photo.width, photo.height) != (camera.width, camera.height):
         raise BadInput(

@@ -37,10 +37,15 @@ _BROKEN = (
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles: `vertices` float64 (V, 3), `faces` int32 (F, 3) indices of vertices, `uvs` float64
-    (F, 3, 2) per corner or None, `normals` float32 (F, 3, 3) per corner or None. Faces keep the file's order;
-    polygons are cut into fans. A corner that has no UV in a mesh where others do has (0, 0). Normals are as the
-    file has them, of any length and not always finite; (0, 0, 0) where there is none."""
+    """Triangles, in the file's own order, axes and units; polygons are cut into fans.
+
+    Attributes:
+        vertices: (V, 3) float64.
+        faces: (F, 3) int32 indices of vertices.
+        uvs: (F, 3, 2) float64 per corner, v up, or None; (0, 0) at a corner without where others have one.
+        normals: (F, 3, 3) float32 per corner, or None; as the file has them, of any length and not always finite, (0, 0, 0)
+            where there is none.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -83,7 +88,11 @@ def checked(
     uvs: np.ndarray | None,
     normals: np.ndarray | None = None,
 ) -> Mesh:
-    """A Mesh of these arrays. Raises BadInput, naming `path`, where they do not make one."""
+    """A Mesh of these arrays; shapes as in `Mesh`, of any dtype.
+
+    Raises:
+        BadInput: they do not make one; names `path`.
+    """
     if len(faces) == 0:
         raise BadInput(f"{path}: the mesh has no faces; export it with its faces.")
     if len(vertices) > np.iinfo(np.int32).max or len(faces) > np.iinfo(np.int32).max:

@@ -19,7 +19,6 @@ _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126:
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 _COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 _TRIANGLES = 4
-_DEEPEST = 200  #: nodes within nodes; more is a loop
 
 
 def parse_glb(data: bytes) -> Arrays:
@@ -176,7 +175,7 @@ def _accessor(document: dict[str, Any], binary: bytes, index: int, width: int) -
 
 
 def _moved(part: Arrays, matrix: np.ndarray) -> Arrays:
-    """The part in world space; a mirroring matrix turns the faces' corners round, as glTF asks."""
+    """The part in world space; a mirroring matrix turns the faces' corners round, as glTF requires."""
     vertices, faces, uvs, normals = part
     if not np.isfinite(matrix).all():
         raise BadInput("a node's transform is not finite; export the mesh again.")

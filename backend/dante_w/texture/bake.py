@@ -26,7 +26,7 @@ from dante_w.texture.encoding import decode_rows, encode_rows
 from dante_w.texture.pyramid_fill import Pyramid, empty_pyramid
 from dante_w.texture.rasterise import Bins, bin_faces, rasterise_bins, rasterise_border
 
-#: What coverage.png says of a texel; BORDER only while baking.
+#: Values of coverage.png; BORDER only while baking.
 OUTSIDE, BORDER, FILLED, SEEN = 0, 64, 128, 255
 
 
@@ -38,7 +38,7 @@ class BakeSettings:
     gutter: int = 16
     #: Texels of a band of rows; no result depends on it.
     band_texels: int = 1 << 20
-    #: Texels whose colours are asked for at once.
+    #: Texels whose colours are computed at once.
     chunk_texels: int = 1 << 18
     #: Cells a side of the largest level of the filling's pyramid that is kept whole.
     largest_kept: int = 1024
@@ -62,8 +62,8 @@ def bake(
     """Bake a texture.
 
     Args:
-        texels: asked for `chunk_texels` places at most, and only for places that photos saw. What it gives that is not
-            finite counts as not seen.
+        texels: called with `chunk_texels` places at most, and only with places that photos saw. Colours that are not
+            finite count as not seen.
         uvs: (F, 3, 2) UV triangles.
         coverage: what the photos saw, of the texture's size.
         out: (H, W, 3) to write: uint8 or uint16 (sRGB) or float16 or float32 (linear); row 0 is the top row.

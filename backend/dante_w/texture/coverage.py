@@ -35,7 +35,11 @@ class Coverage:
 
 
 def empty_coverage(width: int, height: int) -> Coverage:
-    """A texture of width x height texels that no photo has seen. Raises ValueError for an empty texture."""
+    """A texture of width x height texels that no photo has seen.
+
+    Raises:
+        ValueError: the texture is empty.
+    """
     if width < 1 or height < 1:
         raise ValueError(f"texture of {width} x {height} texels")
     levels, w, h = [np.zeros((height, -(-width // 8)), np.uint8)], width, height
@@ -70,7 +74,11 @@ def mark(coverage: Coverage, uv: np.ndarray, footprint: np.ndarray | float) -> N
 
 
 def seen_texels(coverage: Coverage, rows: tuple[int, int] | None = None) -> np.ndarray:
-    """(r1 - r0, W) bool: which texels of rows r0 <= j < r1 (default: all) the samples saw."""
+    """(r1 - r0, W) bool: which texels of rows r0 <= j < r1 (default: all) the samples saw; row 0 is the top row.
+
+    Raises:
+        ValueError: rows that the texture does not have.
+    """
     r0, r1 = rows or (0, coverage.height)
     if not 0 <= r0 <= r1 <= coverage.height:
         raise ValueError(f"rows {rows} of a texture of {coverage.height} rows")

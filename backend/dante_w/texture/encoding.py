@@ -17,8 +17,11 @@ _BASE = int(_LEAST.view(np.uint32)) >> _SHIFT
 def encode_rows(linear: np.ndarray, dtype: np.dtype) -> np.ndarray:
     """Linear colours in the numbers of a texture: rounded sRGB for uint8 and uint16, else linear floats.
 
-    linear: float, any shape. Integers are clipped to 0..1 of the scale (NaN: 0), floats to what they can
-    hold. Raises ValueError for a dtype other than uint8, uint16, float16 and float32.
+    Args:
+        linear: float, any shape. Clipped to 0..1 for integers (NaN: 0), else to what the dtype can hold.
+
+    Raises:
+        ValueError: a dtype other than uint8, uint16, float16 and float32.
     """
     if dtype in (np.uint8, np.uint16):
         flat = np.ascontiguousarray(linear, np.float32).reshape(-1)
@@ -32,7 +35,7 @@ def encode_rows(linear: np.ndarray, dtype: np.dtype) -> np.ndarray:
 
 
 def decode_rows(rows: np.ndarray) -> np.ndarray:
-    """float32 linear colours; inverse of `encode_rows` up to rounding."""
+    """float32 linear colours of a texture's numbers, any shape; inverse of `encode_rows` up to rounding."""
     if rows.dtype in (np.uint8, np.uint16):
         return _decoded(np.iinfo(rows.dtype).max)[rows]
     return np.asarray(rows, np.float32)

@@ -2,7 +2,7 @@
 
 A spot of known albedo fixes the albedo scale and the white balance of the whole texture; a spot known only to be grey
 fixes the white balance. In logarithms a gain is a scale (the mean over the channels) and a white balance (the rest).
-Each is the mean of what the spots that know it ask for: the geometric mean of gains, whatever the order of the spots.
+Each is the mean over the spots that fix it: the geometric mean of gains, whatever the order of the spots.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def gain(
 def _spot_gain(
     texture: np.ndarray, seen: np.ndarray, spot: KnownColour, settings: KnownColourSettings
 ) -> np.ndarray:
-    """The gain (3,) that one spot asks for; for a grey one, to an albedo of 1."""
+    """The gain (3,) by one spot alone; for a grey one, to an albedo of 1."""
     recovered = _median(texture, seen, spot, settings.radius)
     if recovered.min() < settings.black:
         raise BadInput(f"The {spot} was recovered as black in some channel; choose a lighter spot.")

@@ -29,7 +29,11 @@ class PhotoAverage:
     """
 
     def __init__(self, width: int, height: int) -> None:
-        """A texture of width x height texels. Raises ValueError for an empty one."""
+        """A texture of width x height texels.
+
+        Raises:
+            ValueError: it is empty.
+        """
         if width < 1 or height < 1:
             raise ValueError(f"texture of {width} x {height} texels")
         self.width, self.height = width, height

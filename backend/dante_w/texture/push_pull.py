@@ -5,7 +5,7 @@ in it. Push, from coarse to fine: a cell with weight gets colour / weight, and o
 the coarser level. Colours are linear.
 
 Levels are float32 (rows, columns, 4), colour x weight and weight; a level has half as many rows and columns, rounded up.
-The kernels call each other, so they lie in one file: numba looks no further when it asks whether cached code is stale.
+The kernels call each other, so they lie in one file: numba compares no other when it decides whether cached code is stale.
 """
 
 from __future__ import annotations

@@ -39,10 +39,13 @@ class Bins:
 
 
 def bin_faces(uvs: np.ndarray, width: int, height: int) -> Bins:
-    """Prepare UV triangles for `rasterise_bins` and `rasterise_border`.
+    """Prepare UV triangles for `rasterise_bins`, `rasterise_border` and `count_bins`.
 
-    uvs: (F, 3, 2) float. Triangles with a corner that is not finite or lies outside [-1, 2] are left out.
-    Raises ValueError for a size outside 1..32768.
+    Args:
+        uvs: (F, 3, 2) float. Triangles with a corner that is not finite or lies outside [-1, 2] are left out.
+
+    Raises:
+        ValueError: a size outside 1..32768.
     """
     if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
         raise ValueError(f"texture of {width} x {height} texels: each side must be 1 to {LARGEST}")
@@ -82,8 +85,12 @@ def rasterise_bins(bins: Bins, rows: tuple[int, int]) -> np.ndarray:
 def rasterise_border(bins: Bins, rows: tuple[int, int], owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Texels that no triangle owns but that a bilinear lookup inside a triangle may read.
 
-    owner: `rasterise_bins(bins, rows)`. Returns flat indices (N,) int64 into owner, ascending, and uv (N, 2)
-    float64: the nearest point of the nearest triangle, at most sqrt(2) texels away.
+    Args:
+        owner: `rasterise_bins(bins, rows)`.
+
+    Returns:
+        Flat indices (N,) int64 into owner, ascending, and uv (N, 2) float64: the nearest point of the nearest triangle, at
+        most sqrt(2) texels away.
     """
     reach = math.sqrt(2.0) * (1 + 1e-9)
     # squared distance to the nearest point, then the offset to it, in texels
