@@ -18,10 +18,10 @@ from dante_w.options import RecoverOptions
 from dante_w.presets import PRESETS, Preset
 from dante_w.run import distributed
 from dante_w.run.progress import Progress
+from dante_w.run.result_files import names_to_write
+from dante_w.run.result_folder import abandon, publish, stage
 from dante_w.texture.coverage import empty_coverage, mark
 from dante_w.texture.photo_average import PhotoAverage
-
-__all__ = ["average", "plan", "recover"]
 
 
 def recover(
@@ -46,6 +46,20 @@ def recover(
     if options.uses_field:
         return recover_field(options, preset, staging, progress)
     return recover_traced(options, preset, staging, progress) if distributed.rank() == 0 else {}
+
+
+def recover_and_publish(options: RecoverOptions, settings: Preset | None = None) -> dict[str, Any]:
+    """As `dante_w.recover`."""
+    if options.out is None:
+        raise BadInput("A recovery needs a folder for its result; name one as out.")
+    staging = stage(options.out, names_to_write(options.format, options.unwrap))
+    try:
+        report = recover(options, staging, Progress(as_json=False), settings)
+        publish(options.out)
+    except BaseException:
+        abandon(options.out)
+        raise
+    return report
 
 
 def plan(
