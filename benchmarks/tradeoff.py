@@ -69,6 +69,8 @@ _TRACED_KNOBS: dict[str, list[Value]] = {
     "directions": [(f"{n}", {"traced.directions": n}) for n in (16, 32, 64, 128, 256, 400)],
     "rays a direction": [(f"{n}", {"traced.transport.rays_per_direction": n}) for n in (1, 3, 9, 27)],
     "shading points": [(f"{n} x {n}", {"traced.shading.side": n}) for n in (64, 128, 256, 512)],
+    "points a step": [(f"{n}", {"traced.solver.points_per_step": n}) for n in (600, 2500, 10000)],
+    "last steps": [(f"{n}", {"traced.solver.fine_steps": n}) for n in (5, 7, 14)],
     "texture-size": _TEXTURES,
     SEED: _SEEDS,
 }

@@ -1,27 +1,34 @@
-"""Open points whose lights, exposures and albedo are known, and what photos show of them."""
+"""Open points whose lights, exposures and albedo are known, what photos show of them, and lights solved from that."""
 
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from dante_w.traced.light_transport import LightTransport, sphere
 from dante_w.traced.observations import Observations
 from dante_w.traced.shading_points import USUAL_SHADING, ShadingPoints
-from dante_w.traced.solver.solve_lights import BRIGHTEST, TOP
+from dante_w.traced.solver.evidence import Evidence, gather_evidence
+from dante_w.traced.solver.settings import SolverSettings
+from dante_w.traced.solver.solve_lights import solve_lights
 from dante_w.traced.specular import specular_radiance
+from dante_w.traced.state import Lighting
 
 DIRECTIONS, POINTS, PHOTOS, LIGHTS = 64, 1500, 18, 3
 SIDE = USUAL_SHADING.side
+SETTINGS = SolverSettings()
+#: What the solver takes the brightest albedo to be, and which quantile that is.
+TOP, BRIGHTEST = SETTINGS.albedo_scale.brightest, SETTINGS.albedo_scale.quantile
 
 
 @dataclasses.dataclass(frozen=True)
 class World:
     points: ShadingPoints
-    transfer: LightTransport
-    seen: Observations
+    transport: LightTransport
+    observations: Observations
     cameras: np.ndarray
-    light: np.ndarray
+    cluster: np.ndarray
     albedo: np.ndarray
     exposure: np.ndarray
 
@@ -38,9 +45,9 @@ def make_world(
     materials: int = POINTS,
 ) -> World:
     """Open points of all orientations under up to three smooth lights; nothing hides or lights anything else. Log
-    exposures have a standard deviation of `exposures`, the brightest albedo is `top`; `matte` points have no sheen; points are
-    of as many `materials`, in slabs, or each of its own."""
-    of_photo = np.arange(PHOTOS) % lights
+    exposures have a standard deviation of `exposures`, the brightest albedo is `top`; `matte` points have no specular reflection;
+    points are of as many `materials`, in slabs, or each of its own."""
+    cluster = np.arange(PHOTOS) % lights
     random = np.random.default_rng(6)
     normals = unit(random.normal(size=(POINTS, 3))).astype(np.float32)
     position = random.uniform(0.3, 0.7, (POINTS, 3)).astype(np.float32)
@@ -48,7 +55,7 @@ def make_world(
     cosine = normals @ directions.T
     visible = (cosine > 0.0).astype(np.float32)
     direct = (4.0 / DIRECTIONS * np.maximum(cosine, 0.0)).astype(np.float32)
-    transfer = LightTransport(
+    transport = LightTransport(
         directions,
         visible,
         direct,
@@ -58,9 +65,9 @@ def make_world(
         np.zeros(POINTS, np.float32),
     )
     axes = unit(np.array([(1.0, 0.2, 0.5), (-0.6, 0.8, 0.4), (-0.3, -0.9, 0.6)]))
-    tint = np.array([(0.08, 0.0, -0.08), (-0.06, 0.0, 0.06), (0.0, 0.0, 0.0)])
+    hue = np.array([(0.08, 0.0, -0.08), (-0.06, 0.0, 0.06), (0.0, 0.0, 0.0)])
     bright = 1.1 * directions @ axes.T + 0.5 * (directions @ axes.T) ** 2
-    radiance = np.exp(bright.T[:, :, None] + tint[:, None, :]).astype(np.float32)
+    radiance = np.exp(bright.T[:, :, None] + hue[:, None, :]).astype(np.float32)
     albedo = random.uniform(0.1, 0.8, (POINTS, 3))
     if materials < POINTS:
         albedo = albedo[((position[:, 0] - 0.3) / 0.4 * materials).astype(int)]
@@ -70,13 +77,13 @@ def make_world(
 
     photo, point = np.nonzero(np.einsum("kd,cd->kc", unit(cameras - 0.5), normals) > 0.05)
     towards = unit(cameras[photo] - position[point]).astype(np.float32)
-    light = of_photo[photo]
+    light = cluster[photo]
     diffuse = albedo[point] * np.tensordot(direct, radiance, axes=(1, 1))[point, light]
-    gloss = specular_radiance(point, light, towards, normals, transfer, radiance)
-    colour = np.exp(exposure)[photo, None] * (diffuse + (0.0 if matte else gloss))
+    specular = specular_radiance(point, light, towards, normals, transport, radiance)
+    colour = np.exp(exposure)[photo, None] * (diffuse + (0.0 if matte else specular))
     colour *= np.exp(random.normal(0.0, 0.03, colour.shape))
     count = len(photo)
-    seen = Observations(
+    observations = Observations(
         point.astype(np.int32),
         photo.astype(np.int32),
         colour.astype(np.float32),
@@ -86,4 +93,34 @@ def make_world(
     point_of_cell = np.full(SIDE * SIDE, -1, np.int32)
     point_of_cell[np.sort(random.permutation(SIDE * SIDE)[:POINTS])] = np.arange(POINTS)
     points = ShadingPoints(point_of_cell, position, normals)
-    return World(points, transfer, seen, cameras, of_photo, albedo, exposure)
+    return World(points, transport, observations, cameras, cluster, albedo, exposure)
+
+
+def evidence_of(world: World, settings: SolverSettings = SETTINGS, **known: Any) -> Evidence:
+    """Of all that the photos show; `known`: components and what else `gather_evidence` takes."""
+    return gather_evidence(world.points, world.observations, world.cameras, settings.evidence, **known)
+
+
+def solve(
+    world: World,
+    start: np.ndarray | Lighting,
+    settings: SolverSettings = SETTINGS,
+    seed: int = 0,
+    fine: bool = True,
+    **known: Any,
+) -> Lighting:
+    """Lights from these clusters or coarse lights; arguments as of `solve_lights` and `evidence_of`."""
+    steps: list[tuple[int, int]] = []
+    evidence = evidence_of(world, settings, **known)
+    found = solve_lights(
+        evidence, world.transport, start, settings, seed, lambda *step: steps.append(step), fine
+    )
+    if not found.setbacks:
+        assert [step for step, _ in steps] == list(range(1, steps[-1][1] + 1))
+    return found
+
+
+def albedo_error(world: World, found: Lighting) -> float:
+    """Rms of log albedo at known points, after one gain per channel."""
+    error = np.log(found.albedo[found.known]) - np.log(world.albedo[found.known])
+    return float(np.sqrt(np.square(error - error.mean(axis=0)).mean()))

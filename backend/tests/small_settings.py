@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from dante_w.field.fields import ModelSpec
 from dante_w.field.hash_encoding import GridSpec
 from dante_w.field.optimise import Schedule
 from dante_w.field.presets import Preset as FieldSettings
 from dante_w.presets import PRESETS, Preset
 from dante_w.traced.settings import TracedSettings
+from dante_w.traced.solver.settings import SolverSettings
 
 SPEC = ModelSpec(GridSpec(2, 6, 2, 4, 64, 12), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4)
 #: Light from fewer directions: the time to solve for it grows with their cube.
-TRACED = TracedSettings(directions=32)
+TRACED = TracedSettings(directions=32, solver=SolverSettings(coarse_directions=16))
 
 
 def small_preset(size: int, steps: int = 300, final_steps: int = 60, name: str = "standard") -> Preset:
@@ -19,4 +22,5 @@ def small_preset(size: int, steps: int = 300, final_steps: int = 60, name: str =
     final = Schedule(final_steps, 2048, 2e-3)
     field = FieldSettings(size, SPEC, Schedule(steps, 2048, 1e-2), final)
     goes_on, left_out = (getattr(PRESETS[name].traced, key) for key in ("goes_on", "left_out"))
-    return Preset(name, size, TracedSettings(32, left_out, goes_on), field)
+    traced = dataclasses.replace(TRACED, left_out=left_out, goes_on=goes_on)
+    return Preset(name, size, traced, field)

@@ -36,7 +36,6 @@ CIRCLES = frozenset(
 )
 LONG_FILES = frozenset(
     str.split("""
-    backend/dante_w/traced/solver/solve_lights.py
     backend/tests/test_recover.py
     backend/tests/test_scene_folder.py
     benchmarks/extremes/broken_files.py
@@ -57,7 +56,6 @@ LONG_PARAMETER_LISTS = frozenset(
     backend/dante_w/traced/light_transport.py:_trace
     backend/dante_w/traced/model_selection.py:select_components
     backend/dante_w/traced/pipeline.py:recover_albedo
-    backend/dante_w/traced/solver/solve_lights.py:solve_lights
     backend/dante_w/traced/specular.py:specular_radiance
     """)
 )

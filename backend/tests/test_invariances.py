@@ -95,12 +95,6 @@ def make_world() -> World:
 SMALL = small_preset(SIZE, 150, 30)
 
 
-@pytest.fixture(autouse=True)
-def small(monkeypatch):
-    for module in ("solver.solve_lights", "model_selection"):
-        monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
-
-
 def frames_in(world: World, folder: Path) -> list[Frame]:
     frames = []
     for index, (matrix, photo) in enumerate(zip(world.poses, world.photos, strict=True)):

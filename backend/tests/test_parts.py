@@ -10,29 +10,28 @@ from dante_w.contract.protocol import Decision
 from dante_w.scene.held_out import choose_held_out
 from dante_w.traced.light_clusters import first_clusters
 from dante_w.traced.model_selection import TRIED, USUAL_SELECTION, Fixed, SelectionSettings, select_components
+from dante_w.traced.solver.settings import SolverSettings
 from dante_w.traced.state import Components, TracedScene
 from open_world import PHOTOS, POINTS, World, make_world
 
 BOUNCED = USUAL_SELECTION.bounced
 
 
-@pytest.fixture(autouse=True)
-def few_directions(monkeypatch):
-    for module in ("solver.solve_lights", "model_selection"):
-        monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 32)
+SOLVER = SolverSettings(coarse_directions=32)
 
 
 def planned(
     world: World, settings: SelectionSettings = USUAL_SELECTION, **chosen: bool
 ) -> tuple[Components, dict[str, Decision]]:
     said: list[float] = []
-    clusters = first_clusters(world.seen, len(world.points), len(world.cameras))
+    clusters = first_clusters(world.observations, len(world.points), len(world.cameras))
     selection = select_components(
-        TracedScene(world.cameras, world.points, world.seen, world.transfer, None, None, clusters),
+        TracedScene(world.cameras, world.points, world.observations, world.transport, None, None, clusters),
         {name: Fixed(on) for name, on in chosen.items()},
         0,
         lambda done, total: said.append(done / total),
         settings,
+        SOLVER,
     )
     parts, decisions, begun = selection.components, selection.decisions, selection.lighting
     assert said == sorted(said) and said[-1] == 1.0
@@ -105,13 +104,15 @@ def test_what_the_user_says_stands():
 def test_light_from_the_mesh_counts_from_a_share_on(share):
     world = make_world(1, 0.0)
     lost = np.full(POINTS, share, np.float32)
-    world = dataclasses.replace(world, transfer=dataclasses.replace(world.transfer, lost=lost))
+    world = dataclasses.replace(world, transport=dataclasses.replace(world.transport, lost=lost))
     assert planned(world, clusters=False, exposures=False)[0].bounce == (share > BOUNCED)
 
 
 def test_too_few_photos_to_try_anything():
     world = make_world()
-    few = dataclasses.replace(world, cameras=world.cameras[:4], seen=world.seen.take(world.seen.photo < 4))
+    few = dataclasses.replace(
+        world, cameras=world.cameras[:4], observations=world.observations.take(world.observations.photo < 4)
+    )
     parts, said = planned(few)
     assert parts.clusters and parts.exposures
     assert said["clusters"].reason == said["exposures"].reason == "too few photos to check"
@@ -120,7 +121,9 @@ def test_too_few_photos_to_try_anything():
 def test_held_out_photos_that_show_nothing():
     """The ones that are held out of 18 photos are all clipped."""
     world = make_world()
-    clipped = np.isin(world.seen.photo, [4, 13])
-    parts, said = planned(dataclasses.replace(world, seen=dataclasses.replace(world.seen, clipped=clipped)))
+    clipped = np.isin(world.observations.photo, [4, 13])
+    parts, said = planned(
+        dataclasses.replace(world, observations=dataclasses.replace(world.observations, clipped=clipped))
+    )
     assert PHOTOS == 18 and parts.clusters and parts.exposures
     assert said["clusters"].reason == "too few photos to check"

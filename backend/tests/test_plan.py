@@ -23,9 +23,9 @@ from dante_w.rays.footprint import GLANCE, glance
 from dante_w.rays.scene3d import Scene3D
 from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import read_mesh
-from dante_w.traced.settings import TracedSettings
+from small_settings import TRACED
 
-SMALL = dataclasses.replace(PRESETS["standard"], traced=TracedSettings(directions=32))
+SMALL = dataclasses.replace(PRESETS["standard"], traced=TRACED)
 MOST = 4096
 
 
@@ -33,12 +33,6 @@ MOST = 4096
 def square(tmp_path):
     (tmp_path / "mesh.obj").write_text(SQUARE)
     return read_mesh(tmp_path / "mesh.obj")
-
-
-@pytest.fixture(autouse=True)
-def few_directions(monkeypatch):
-    for module in ("solver.solve_lights", "model_selection"):
-        monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
 
 
 def photos(resolution: float, *heights: float) -> list[Frame]:

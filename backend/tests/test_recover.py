@@ -40,13 +40,6 @@ FIELD_PLAN = ["texture", "light", "samples", "memory", "albedo", "embedding", "e
 SMALL = small_preset(SIZE)
 
 
-@pytest.fixture(autouse=True)
-def few_directions(monkeypatch):
-    """Light from fewer directions: the time to solve for it grows with their cube."""
-    for module in ("solver.solve_lights", "model_selection"):
-        monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
-
-
 def run(capsys, *arguments: str | Path) -> tuple[int, list[dict]]:
     code = main([str(a) for a in arguments] + ["--json"], settings=SMALL)
     return code, [json.loads(line) for line in capsys.readouterr().out.splitlines()]

@@ -25,24 +25,18 @@ from dante_w.rays.ray_cache import Samples
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.images import read_photo, read_texture, write_exr
 from dante_w.scene.mesh import Mesh
-from dante_w.traced.settings import TracedSettings
 from dante_w.traced.shading_points import ShadingPoints, gather
+from small_settings import TRACED
 
 SPEC = ModelSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 8), hidden=16, embedding=2)
 FIELD = FieldSettings(64, SPEC, Schedule(100, 1024, 1e-2), Schedule(20, 1024, 2e-3))
-SMALL = Preset("standard", 64, TracedSettings(directions=32), FIELD)
+SMALL = Preset("standard", 64, TRACED, FIELD)
 
 
 def with_rate(rate: float) -> Preset:
     """Small settings whose main pass has another learning rate."""
     schedule = dataclasses.replace(FIELD.schedule, learning_rate=rate)
     return dataclasses.replace(SMALL, field=dataclasses.replace(FIELD, schedule=schedule))
-
-
-@pytest.fixture(autouse=True)
-def small(monkeypatch):
-    for module in ("solver.solve_lights", "model_selection"):
-        monkeypatch.setattr(f"dante_w.traced.{module}.COARSE", 16)
 
 
 def square() -> Mesh:

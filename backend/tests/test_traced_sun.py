@@ -7,17 +7,20 @@ import pytest
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.mesh import Mesh
 from dante_w.traced.albedo_texture import Surface, direct_irradiance
-from dante_w.traced.light_transport import sun_visibility, trace_light_transport, with_suns
+from dante_w.traced.light_transport import LightTransport, sun_visibility, trace_light_transport, with_suns
 from dante_w.traced.observations import Observations
 from dante_w.traced.shading_points import ShadingPoints
-from dante_w.traced.solver.solve_lights import evidence, solve_lights
+from dante_w.traced.solver.evidence import gather_evidence
+from dante_w.traced.solver.settings import SolverSettings
+from dante_w.traced.solver.solve_lights import solve_lights
 from dante_w.traced.specular import specular_radiance
 from dante_w.traced.state import Components, Lighting
-from dante_w.traced.sun import find_and_add_suns, peaks
+from dante_w.traced.sun import SunSettings, find_and_add_suns, peaks
 
 SIDE, PHOTOS = 40, 4
 SUN = np.array([0.55, 0.2, 0.81]) / np.linalg.norm([0.55, 0.2, 0.81])
-PARTS = Components(exposures=False, bounce=False, specular=False)
+COMPONENTS = Components(exposures=False, bounce=False, specular=False)
+SETTINGS = SolverSettings()
 CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 
@@ -45,15 +48,15 @@ class World:
         normal = np.tile(np.float32((0.0, 0.0, 1.0)), (SIDE**2, 1))
         self.points = ShadingPoints(np.arange(SIDE**2, dtype=np.int32), position, normal)
         uvs = np.zeros((len(mesh.faces), 3, 2))
-        self.transfer = trace_light_transport(self.points, self.caster, uvs, 256, lambda _: None)
+        self.transport = trace_light_transport(self.points, self.caster, uvs, 256, lambda _: None)
         patches = np.where((np.floor(x * 3) + np.floor(y * 3)) % 2 == 0, 0.5, 0.3)
         self.albedo = patches[:, None] * np.array([1.0, 0.8, 0.6])
-        seen = sun_visibility(position, normal, self.caster, SUN)
-        light = self.transfer.direct.sum(axis=1) + strength * seen * SUN[2]
+        sunny = sun_visibility(position, normal, self.caster, SUN)
+        light = self.transport.direct.sum(axis=1) + strength * sunny * SUN[2]
         noise = np.random.default_rng(0).normal(1.0, 0.01, (PHOTOS, SIDE**2, 3))
         colour = (0.3 * self.albedo * light[:, None] * noise).reshape(-1, 3).astype(np.float32)
         rows = PHOTOS * SIDE**2
-        self.seen = Observations(
+        observations = Observations(
             np.tile(np.arange(SIDE**2, dtype=np.int32), PHOTOS),
             np.repeat(np.arange(PHOTOS, dtype=np.int32), SIDE**2),
             colour,
@@ -61,15 +64,21 @@ class World:
             np.zeros(rows, bool),
         )
         self.cameras = np.array([(0.5 + 0.3 * k, 0.5, 3.0) for k in range(PHOTOS)])
+        self.evidence = gather_evidence(
+            self.points, observations, self.cameras, SETTINGS.evidence, COMPONENTS
+        )
 
     def solved(self) -> Lighting:
         one = np.zeros(PHOTOS, np.int64)
-        return solve_lights(
-            self.points, self.transfer, self.seen, self.cameras, one, 0, lambda *_: None, PARTS
+        return solve_lights(self.evidence, self.transport, one, SETTINGS, 0, lambda *_: None)
+
+    def with_suns(self, lights: Lighting) -> tuple[LightTransport, Lighting]:
+        return find_and_add_suns(
+            self.evidence, self.transport, lights, self.caster, 0, SETTINGS, SunSettings()
         )
 
     def error(self, lights: Lighting) -> float:
-        """Standard deviation of log albedo's error: level and tint are open."""
+        """Standard deviation of the error of log albedo: scale and white balance are open."""
         off = np.log(lights.albedo / self.albedo)[lights.known]
         return float((off - off.mean(axis=0)).std())
 
@@ -78,10 +87,9 @@ class World:
 def test_a_sun_is_found_where_it_stands_and_its_shadows_leave_the_albedo(strength):
     world = World(strength)
     lights = world.solved()
-    of = evidence(world.points, world.seen, world.cameras, PARTS)
-    transfer, found = find_and_add_suns(of, world.transfer, lights, world.caster, 0)
-    assert transfer.suns == 1 and found.setbacks == ()
-    assert np.degrees(np.arccos(transfer.directions[-1] @ SUN)) < 2.0
+    transport, found = world.with_suns(lights)
+    assert transport.suns == 1 and found.setbacks == ()
+    assert np.degrees(np.arccos(transport.directions[-1] @ SUN)) < 2.0
     assert world.error(found) < 0.6 * world.error(lights)
 
 
@@ -89,9 +97,8 @@ def test_a_sun_is_found_where_it_stands_and_its_shadows_leave_the_albedo(strengt
 def test_without_a_sun_or_without_shadows_there_is_none(strength, posts):
     world = World(strength, posts)
     lights = world.solved()
-    of = evidence(world.points, world.seen, world.cameras, PARTS)
-    transfer, same = find_and_add_suns(of, world.transfer, lights, world.caster, 0)
-    assert transfer is world.transfer and same is lights
+    transport, same = world.with_suns(lights)
+    assert transport is world.transport and same is lights
 
 
 def test_a_sun_is_seen_but_where_the_mesh_is_in_its_way():
@@ -106,11 +113,11 @@ def test_a_sun_is_seen_but_where_the_mesh_is_in_its_way():
 
 def test_suns_leave_the_sphere_as_it_was():
     world = World(1.0)
-    transfer = with_suns(world.transfer, world.points, world.caster, SUN[None])
-    assert transfer.share == world.transfer.share == 4.0 / 256 and transfer.suns == 1
+    transport = with_suns(world.transport, world.points, world.caster, SUN[None])
+    assert transport.share == world.transport.share == 4.0 / 256 and transport.suns == 1
     np.testing.assert_allclose(
-        transfer.direct[:, -1],
-        transfer.share
+        transport.direct[:, -1],
+        transport.share
         * SUN[2]
         * sun_visibility(world.points.position, world.points.normal, world.caster, SUN),
         rtol=1e-6,
@@ -121,27 +128,27 @@ def test_suns_leave_the_sphere_as_it_was():
     towards = world.points.towards(point, world.cameras[0])
     shown = [
         specular_radiance(point, light, towards, world.points.normal, each, emitted)
-        for each, emitted in ((world.transfer, radiance), (transfer, dark))
+        for each, emitted in ((world.transport, radiance), (transport, dark))
     ]
     np.testing.assert_allclose(shown[0], shown[1], rtol=1e-6)
 
 
 def test_pixels_see_the_sun_for_themselves():
     world = World(1.0)
-    transfer = with_suns(world.transfer, world.points, world.caster, SUN[None])
+    transport = with_suns(world.transport, world.points, world.caster, SUN[None])
     radiance = np.concatenate([np.ones((256, 3)), np.full((1, 3), 90.0)]).astype(np.float32)
     fine = (np.arange(400) + 0.5) / 400
     place = np.stack([fine, np.full(400, 0.34), 0.0 * fine], axis=1).astype(
         np.float32
     )  # through a post's shadow
     point, normal = world.points.at(place[:, :2]), np.tile(np.float32((0.0, 0.0, 1.0)), (400, 1))
-    lit = direct_irradiance(Surface(point, place, normal), transfer, radiance, world.caster)
-    sky = direct_irradiance(Surface(point, place, normal), world.transfer, radiance[:256], world.caster)
-    seen = sun_visibility(place, normal, world.caster, SUN)
-    sun = transfer.share * 90.0 * SUN[2] * seen
+    lit = direct_irradiance(Surface(point, place, normal), transport, radiance, world.caster)
+    sky = direct_irradiance(Surface(point, place, normal), world.transport, radiance[:256], world.caster)
+    sunny = sun_visibility(place, normal, world.caster, SUN)
+    sun = transport.share * 90.0 * SUN[2] * sunny
     np.testing.assert_allclose(lit - sky, np.repeat(sun[:, None], 3, axis=1), atol=1e-5)
-    by_cell = transfer.visible[point, -1]
-    assert {0.0, 1.0} <= set(seen) and (np.abs(seen - by_cell) > 0.5).any()  # finer than the cells
+    by_cell = transport.visible[point, -1]
+    assert {0.0, 1.0} <= set(sunny) and (np.abs(sunny - by_cell) > 0.5).any()  # finer than the cells
 
 
 def test_how_much_brighter_than_the_mean_a_light_is_anywhere():

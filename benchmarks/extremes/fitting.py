@@ -10,7 +10,8 @@ from unittest import mock
 import numpy as np
 from dante_w.field.optimise import Schedule
 from dante_w.presets import Preset
-from dante_w.traced.solver import solve_lights as lights
+from dante_w.traced.solver import levenberg_marquardt
+from dante_w.traced.solver.normal_equations import Step, gauss_newton_step
 
 from extremes.judge import MODELS, alike, as_good, between, refused, texel_centres, tried, unspoilt
 from extremes.row import Row
@@ -69,16 +70,17 @@ def scheduled(schedule: Schedule) -> Preset:
 
 
 def _astray(name: str, base: World, planned: Outcome, shift: tuple[float, float]) -> Row:
-    step, turns = lights.step, []
+    turns = []
 
-    def struck(*arguments: Any) -> Any:
-        radiance, exposure, *rest = step(*arguments)
+    def struck(*arguments: Any) -> Step:
+        step = gauss_newton_step(*arguments)
         turns.append(1)
-        if len(turns) == 6:
-            exposure = exposure + np.resize(shift, len(exposure))
-        return (radiance, exposure, *rest)
+        if len(turns) != 6:
+            return step
+        exposure = step.log_exposure + np.resize(shift, len(step.log_exposure))
+        return replace(step, log_exposure=exposure)
 
-    with mock.patch.object(lights, "step", struck):
+    with mock.patch.object(levenberg_marquardt, "gauss_newton_step", struck):
         outcome = tried(base, *PLANNED)
     setbacks = outcome.report.get("setbacks", {}).get("lights", [])
     note = "; ".join(f"{each['reason']}, rate {each['rate']:g}" for each in setbacks) or "no setback"

@@ -175,6 +175,8 @@ def _plan(
             options.seed,
             lambda done, trials: progress.update("plan", done, trials),
             settings.selection,
+            settings.solver,
+            settings.sun,
         )
 
     selection = checkpoints.done("plan", Selection, choose) if checkpoints else choose()

@@ -20,19 +20,12 @@ from dante_w.traced.light_transport import LightTransport, sphere, trace_light_t
 from dante_w.traced.model_selection import USUAL_SELECTION
 from dante_w.traced.observations import USUAL_THINNING, Observations
 from dante_w.traced.shading_points import ShadingPoints, ShadingSettings, gather
-from dante_w.traced.solver.solve_lights import (
-    AGAIN,
-    COARSE,
-    FIRST_STEPS,
-    LAST_STEPS,
-    POINTS,
-    REASSIGN,
-    evidence,
-    explain,
-    observed_specular,
-)
+from dante_w.traced.solver.albedo_scale import open_gain, with_gain
+from dante_w.traced.solver.evidence import gather_evidence, observed_specular
+from dante_w.traced.solver.settings import USUAL_SOLVER as SOLVER
+from dante_w.traced.solver.variable_projection import project_albedo
 from dante_w.traced.state import Lighting, TracedScene
-from dante_w.traced.sun import STEPS as SUN_STEPS
+from dante_w.traced.sun import USUAL_SUN
 
 #: Points traced, observations explained, samples given an albedo, and texels a side filled at most; and of samples and
 #: observations before them, which only load kernels.
@@ -112,10 +105,16 @@ def measure_traced(
 
     def explained(rows: Observations) -> tuple[float, float]:
         """Seconds of the sheen and of the rest, as usual among a few."""
-        of, seconds = evidence(points, rows, cameras), []
+        evidence, seconds = gather_evidence(points, rows, cameras, SOLVER.evidence), []
+
+        def project(specular: np.ndarray) -> Lighting:
+            log_albedo, _ = project_albedo(lights, irradiance, specular, evidence, SOLVER.projection)
+            gain = open_gain(log_albedo, lights, evidence, SOLVER.albedo_scale)
+            return with_gain(lights, log_albedo, gain)
+
         for _ in range(TIMED):
-            gloss, shining = timed(lambda: observed_specular(of, transfer, lights))
-            seconds.append((shining, timed(partial(explain, lights, irradiance, gloss, of))[1]))
+            specular, shining = timed(lambda: observed_specular(evidence, transfer, lights, SOLVER.specular))
+            seconds.append((shining, timed(partial(project, specular))[1]))
         usual, rest = np.median(seconds, axis=0)
         return float(usual), float(rest)
 
@@ -162,11 +161,12 @@ def measure_traced(
 
 def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
     """Seconds of the stages between `rays` and `bake`, in their order."""
-    observations, few = work.observations, min(COARSE, work.directions)
+    observations, few = work.observations, min(SOLVER.coarse_directions, work.directions)
+    reassigned = [step for step, _ in SOLVER.reassignments]
 
     def step(lights: int, directions: int) -> float:
         """The equations of a Gauss-Newton step, made and solved."""
-        chosen = min(POINTS, work.points)
+        chosen = min(SOLVER.points_per_step, work.points)
         unknowns = lights * directions
         equations = pace.multiply * (3.0 * MANY_MULTIPLIED * chosen + ITERATED) * unknowns**2
         equations += MANY_FACTORED * pace.factor * 2.0 * unknowns**3 / 6.0
@@ -182,26 +182,28 @@ def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
 
     def cold(first: int, lights: int, share: float) -> float:
         """All first steps; those after which photos change their light have no equations."""
-        early, grouped = min(REASSIGN), len(REASSIGN) if first > 1 else 0
-        equations = early * step(first, few) + (FIRST_STEPS - early - grouped) * step(lights, few)
-        return refined(FIRST_STEPS, few, share) + equations + grouped * regrouped(first, share)
+        early, grouped = min(reassigned), len(reassigned) if first > 1 else 0
+        equations = early * step(first, few) + (SOLVER.coarse_steps - early - grouped) * step(lights, few)
+        return refined(SOLVER.coarse_steps, few, share) + equations + grouped * regrouped(first, share)
 
     def again(lights: int, share: float) -> float:
         """The last of the first steps, from another fit."""
-        grouped = sum(done >= FIRST_STEPS - AGAIN for done in REASSIGN) if lights > 1 else 0
-        equations = (AGAIN - grouped) * step(lights, few) + grouped * regrouped(lights, share)
-        return refined(AGAIN, few, share) + equations
+        steps = SOLVER.continued_steps
+        grouped = sum(done >= SOLVER.coarse_steps - steps for done in reassigned) if lights > 1 else 0
+        equations = (steps - grouped) * step(lights, few) + grouped * regrouped(lights, share)
+        return refined(steps, few, share) + equations
 
     first, lights, trial = work.first_lights, work.lights, 1.0 / USUAL_SELECTION.one_in
     # five fits: several lights and one from the start, without gloss from there, and one of these without exposures
     trials = cold(first, lights, trial) + cold(1, 1, trial) + 2.0 * again(lights, trial) + again(1, trial)
     prepared = PREPARED * observations * pace.explain
     coarse = again(lights, 1.0) if work.goes_on else cold(first, lights, 1.0)
-    fine = LAST_STEPS * step(lights, work.directions) + refined(LAST_STEPS, work.directions, 1.0)
+    fine = SOLVER.fine_steps * step(lights, work.directions)
+    fine += refined(SOLVER.fine_steps, work.directions, 1.0)
     suns = 0.0
     if work.suns:
         suns = lights * SEARCHED * work.points * pace.explain
-        steps = len(SUN_STEPS)
+        steps = USUAL_SUN.steps
         suns += steps * step(lights, work.directions) + refined(steps, work.directions, 1.0)
     return {
         "transfer": work.samples * pace.gather + work.points * pace.trace * MANY_TRACED,
@@ -246,6 +248,7 @@ def _grey_lights(points: ShadingPoints, cameras: np.ndarray, transfer: LightTran
         np.zeros((count, lights, 3), np.float32),
         np.full((count, 3), 0.5, np.float32),
         np.ones(count, bool),
+        SOLVER.albedo_scale.brightest,
     )
 
 

@@ -20,7 +20,7 @@ from dante_w.traced.state import Lighting
 
 @dataclass(frozen=True)
 class ClusterSettings:
-    """How photos are told apart by their light.
+    """How photos are put together by their light at first.
 
     Attributes:
         clusters: at the start, if there are as many photos.
@@ -30,9 +30,6 @@ class ClusterSettings:
         usual_overlap: that is, fewer than this part of the median number of common points.
         farthest: distance of clusters of which nothing is known.
         dim: brightness (sum of linear channels) below which a ratio is mostly noise.
-        better: a photo moves if another light's residual is this fraction of its own's.
-        outlier: absolute log residuals count no more than this.
-        smallest: mean residuals count no less than this.
     """
 
     clusters: int = 10
@@ -42,12 +39,27 @@ class ClusterSettings:
     usual_overlap: float = 0.3
     farthest: float = 1.0
     dim: float = 0.05
+
+
+USUAL_CLUSTERS = ClusterSettings()
+
+
+@dataclass(frozen=True)
+class ReassignmentSettings:
+    """How photos move to other lights while lights are solved for. Residuals are natural logs.
+
+    Attributes:
+        better: a photo moves if another light's residual is this fraction of its own's.
+        outlier: absolute residuals count no more than this.
+        smallest: mean residuals count no less than this.
+    """
+
     better: float = 0.97
     outlier: float = 0.4
     smallest: float = 1e-6
 
 
-USUAL_CLUSTERS = ClusterSettings()
+USUAL_REASSIGNMENT = ReassignmentSettings()
 
 
 def first_clusters(
@@ -135,7 +147,7 @@ def reassign_photos(
     observations: Observations,
     lighting: Lighting,
     as_good: float,
-    settings: ClusterSettings = USUAL_CLUSTERS,
+    settings: ReassignmentSettings = USUAL_REASSIGNMENT,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move photos and join lights; returns the new light (K,) of each photo and which lights are kept.
 

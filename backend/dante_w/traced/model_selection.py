@@ -20,9 +20,11 @@ from dante_w.contract.protocol import YOU_CHOSE, Decision
 from dante_w.scene.held_out import choose_held_out
 from dante_w.traced.held_out import USUAL_HELD_OUT, HeldOutSettings, fit_held_out
 from dante_w.traced.light_transport import coarser
-from dante_w.traced.solver.solve_lights import COARSE, solve_lights
+from dante_w.traced.solver.evidence import gather_evidence
+from dante_w.traced.solver.settings import USUAL_SOLVER, SolverSettings
+from dante_w.traced.solver.solve_lights import solve_lights
 from dante_w.traced.state import Components, Lighting, TracedScene
-from dante_w.traced.sun import PEAK, SPHERE, peaks
+from dante_w.traced.sun import USUAL_SUN, SunSettings, least_peak, peaks
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,8 @@ def select_components(
     seed: int,
     progress: Callable[[int, int], None],
     settings: SelectionSettings = USUAL_SELECTION,
+    solver: SolverSettings = USUAL_SOLVER,
+    sun: SunSettings = USUAL_SUN,
 ) -> Selection:
     """Decide what to model.
 
@@ -87,7 +91,8 @@ def select_components(
     """
     observations = scene.observations
     fewer = observations.take(observations.point % settings.one_in == 0)
-    coarse = replace(scene, transport=coarser(scene.transport, COARSE)[0], observations=fewer)
+    few_directions, _ = coarser(scene.transport, solver.coarse_directions)
+    coarse = replace(scene, transport=few_directions, observations=fewer)
     held_out = choose_held_out(len(scene.cameras))
     shown = fewer.take(~np.isin(fewer.photo, held_out))
     bounced = float(scene.transport.weight.sum() + scene.transport.lost.sum()) / len(scene.points)
@@ -102,19 +107,12 @@ def select_components(
         """By a fit from the beginning, or from the one that has `start`."""
         if trial not in scores:
             progress(len(scores) + 1, 2 * len(trials) + 1)
+            evidence = gather_evidence(
+                scene.points, shown, scene.cameras, solver.evidence, trial, known_exposure=scene.exposures
+            )
+            first = fits[start] if start else scene.clusters
             fits[trial] = lighting = solve_lights(
-                scene.points,
-                scene.transport,
-                shown,
-                scene.cameras,
-                scene.clusters,
-                seed,
-                _ignore,
-                trial,
-                None,
-                scene.exposures,
-                fits[start] if start else None,
-                fine=False,
+                evidence, scene.transport, first, solver, seed, _ignore, fine=False
             )
             reached = fit_held_out(lighting, coarse, held_out, trial, settings.held_out)[1]
             scores[trial] = -np.inf if reached is None else reached
@@ -140,7 +138,7 @@ def select_components(
     fit = fits.get(components)
     brightest = float(peaks(fit).max()) if fit else None
     if brightest is not None and "sun" not in fixed:
-        components = replace(components, sun=brightest >= PEAK * COARSE / SPHERE)
+        components = replace(components, sun=brightest >= least_peak(solver.coarse_directions, sun))
     evidence = _Evidence(gains, bounced, brightest)
     decisions = [
         _decision(name, getattr(components, name), fixed, evidence, settings) for name in vars(components)

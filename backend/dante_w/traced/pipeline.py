@@ -23,7 +23,8 @@ from dante_w.traced.light_transport import LightTransport, trace_light_transport
 from dante_w.traced.observations import thinned
 from dante_w.traced.settings import TracedSettings
 from dante_w.traced.shading_points import gather
-from dante_w.traced.solver.solve_lights import evidence, solve_lights
+from dante_w.traced.solver.evidence import gather_evidence
+from dante_w.traced.solver.solve_lights import solve_lights
 from dante_w.traced.state import Components, Lighting, TracedScene
 from dante_w.traced.sun import find_and_add_suns
 
@@ -98,23 +99,23 @@ def recover_albedo(
     def solve() -> SolvedLighting:
         held_out = choose_held_out(len(scene.cameras))
         shown = scene.observations.take(~np.isin(scene.observations.photo, held_out))
+        solver = settings.solver
+        evidence = gather_evidence(
+            scene.points, shown, scene.cameras, solver.evidence, components, scene.prior, scene.exposures
+        )
         lighting = solve_lights(
-            scene.points,
+            evidence,
             scene.transport,
-            shown,
-            scene.cameras,
-            scene.clusters,
+            scene.clusters if wanted.start is None else wanted.start,
+            solver,
             wanted.seed,
             lambda step, steps: progress.update("lights", step, steps),
-            components,
-            scene.prior,
-            scene.exposures,
-            wanted.start,
         )
         transport = scene.transport
         if caster:
-            known = evidence(scene.points, shown, scene.cameras, components, scene.prior, scene.exposures)
-            transport, lighting = find_and_add_suns(known, transport, lighting, caster, wanted.seed)
+            transport, lighting = find_and_add_suns(
+                evidence, transport, lighting, caster, wanted.seed, solver, settings.sun
+            )
         sunny = replace(scene, transport=transport)
         fitted, score = fit_held_out(lighting, sunny, held_out, components, settings.selection.held_out)
         return SolvedLighting(fitted, transport.directions[transport.parts :], score)

@@ -10,6 +10,8 @@ from dante_w.traced.light_clusters import USUAL_CLUSTERS, ClusterSettings
 from dante_w.traced.light_transport import USUAL_TRANSPORT, TransportSettings
 from dante_w.traced.model_selection import USUAL_SELECTION, SelectionSettings
 from dante_w.traced.shading_points import USUAL_SHADING, ShadingSettings
+from dante_w.traced.solver.settings import USUAL_SOLVER, SolverSettings
+from dante_w.traced.sun import USUAL_SUN, SunSettings
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,7 @@ class TracedSettings:
             (`bench tradeoff`).
         left_out: components that the preset leaves out, by name.
         goes_on: whether the lights go on from those that the plan has found: faster, and less accurate.
-        shading, transport, prior, clusters, selection, albedo: of the stages of those names.
+        shading, transport, prior, clusters, selection, solver, sun, albedo: of the stages of those names.
     """
 
     directions: int = 256
@@ -32,4 +34,6 @@ class TracedSettings:
     prior: AlbedoPriorSettings = USUAL_PRIORS
     clusters: ClusterSettings = USUAL_CLUSTERS
     selection: SelectionSettings = USUAL_SELECTION
+    solver: SolverSettings = USUAL_SOLVER
+    sun: SunSettings = USUAL_SUN
     albedo: AlbedoSettings = USUAL_ALBEDO

@@ -49,9 +49,10 @@ class Lighting:
         cluster: (K,) the light of each photo.
         log_exposure: (K,) natural log of what a photo's colours are multiplied with: positive is brighter.
         bounce: (C, J, 3) irradiance that arrives from the mesh itself, in the unit of `radiance`.
-        albedo: (C, 3) of the points; all zero before the first step.
-        known: (C,) bool, where albedo follows from the photos; elsewhere it is filled in.
-        brightest_albedo: what the albedo of the brightest points is taken for where no prior gives the scale.
+        albedo: (C, 3) of the points, in [0, 1] but for errors.
+        known: (C,) bool, where albedo follows from the photos; elsewhere it is their median.
+        brightest_albedo: what the brightest albedo is taken to be where no prior gives the scale, see `albedo_scale`.
+        albedo_estimated: whether `albedo` is an estimate; before the first step it is all zero.
         setbacks: steps that were rejected.
     """
 
@@ -61,12 +62,13 @@ class Lighting:
     bounce: np.ndarray
     albedo: np.ndarray
     known: np.ndarray
-    brightest_albedo: float = 0.5
+    brightest_albedo: float
+    albedo_estimated: bool = True
     setbacks: tuple[Setback, ...] = ()
 
-    def irradiance(self, transfer: LightTransport) -> np.ndarray:
+    def irradiance(self, transport: LightTransport) -> np.ndarray:
         """(C, J, 3) at the points."""
-        direct = np.tensordot(transfer.direct, self.radiance, axes=(1, 1))
+        direct = np.tensordot(transport.direct, self.radiance, axes=(1, 1))
         return np.maximum(direct + self.bounce, np.float32(FAINTEST))
 
 

@@ -1,9 +1,9 @@
-"""Linear equations in three channels that are nearly alike, by conjugate gradients.
+"""The normal equations solved by preconditioned conjugate gradients.
 
-What photos say of light they say of each channel alone, and of all three about as strongly; a prior ties the channels together,
-much more weakly in brightness than in tint. So brightness and two tints are nearly apart, and equations that take each
-channel for the mean of the three precondition the true ones: two Cholesky factors of a third of the length, in place of one of
-the whole.
+Photos constrain light in each channel alone, and all three channels about equally. The light prior ties the channels
+together, much more weakly in brightness than in colour. So brightness and two colour differences are nearly independent,
+and equations that take each channel for the mean of the three are a good preconditioner: two Cholesky factors of a third of the
+size, instead of one of all unknowns.
 """
 
 from __future__ import annotations
@@ -16,122 +16,152 @@ import torch
 
 from dante_w.contract.errors import DanteError
 
-#: Brightness and two tints, orthonormal, as weights of the channels.
+#: Brightness and two colour differences, orthonormal, as weights of the channels.
 OPPONENT = torch.tensor(
     [[3**-0.5] * 3, [2**-0.5, -(2**-0.5), 0.0], [6**-0.5, 6**-0.5, -2 * 6**-0.5]], dtype=torch.float64
 )
-#: What is left of the residual at the end, in the preconditioner's norm; a step of many needs no more.
-TOLERANCE = 1e-3
-#: Iterations at most; the solution is on its way downhill all the time.
-ITERATIONS = 200
-#: What the damping is multiplied with where that much of it gives no solution.
-HARDER = (1e3, 1e6)
+
+
+@dataclass(frozen=True)
+class PcgSettings:
+    """When iterations end, and how equations are damped."""
+
+    #: Residual at the end over that at the start, in the preconditioner's norm. One step of many needs no less.
+    tolerance: float = 1e-3
+    #: Iterations at most: each of them lowers the cost, so the solution may be used at any time.
+    iterations: int = 200
+    #: Part of the diagonal that a damping of 1 adds to it.
+    relative_damping: float = 0.01
+    #: Added to the diagonal in any case, so that unknowns without observations stay where they are.
+    absolute_damping: float = 1e-8
+    #: What both are multiplied with, one after another, where rounding leaves equations without a solution.
+    retries: tuple[float, ...] = (1e3, 1e6)
 
 
 @dataclass(frozen=True)
 class System:
-    """Symmetric equations for x (3, N) of the channels and y (R,) that they share, float64 tensors: `own` (3, N, N) of each
-    channel, `cross` (3, R, N) of y with x, `shared` (R, R) of y. The N are lights of D directions each; a
-    prior adds to all lights alike `brightness` (D, D), for what channels have in common, and `tint` (D, D), for the rest."""
+    """Symmetric equations for x (3, N) of the channels and y (R,) that the channels share, float64.
 
-    own: torch.Tensor
+    The N unknowns of a channel are J lights of D directions each. The light prior adds the same to every light.
+
+    Attributes:
+        channels: (3, N, N) of x, each channel's own.
+        cross: (3, R, N) of y with x.
+        shared: (R, R) of y.
+        brightness: (D, D) precision of the mean over the channels.
+        colour: (D, D) precision of each channel's difference from the mean.
+    """
+
+    channels: torch.Tensor
     cross: torch.Tensor
     shared: torch.Tensor
     brightness: torch.Tensor
-    tint: torch.Tensor
+    colour: torch.Tensor
 
     def times(self, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        lights = x.reshape(3, -1, len(self.tint))
+        """The matrix times x (3, N) and y (R,)."""
+        lights = x.reshape(3, -1, len(self.colour))
         mean = lights.mean(dim=0)
-        prior = mean @ self.brightness + (lights - mean) @ self.tint
-        along = torch.stack([own @ part for own, part in zip(self.own, x, strict=True)])
-        along += prior.reshape(x.shape) + torch.einsum("crn,r->cn", self.cross, y)
-        return along, torch.einsum("crn,cn->r", self.cross, x) + self.shared @ y
+        prior = mean @ self.brightness + (lights - mean) @ self.colour
+        product = torch.stack([matrix @ part for matrix, part in zip(self.channels, x, strict=True)])
+        product += prior.reshape(x.shape) + torch.einsum("crn,r->cn", self.cross, y)
+        return product, torch.einsum("crn,cn->r", self.cross, x) + self.shared @ y
 
     def damped(self, relative: float, absolute: float) -> System:
-        """With more on the diagonal."""
-        lights = self.own.shape[1] // len(self.tint)
-        prior = ((self.brightness + 2.0 * self.tint).diagonal() / 3.0).repeat(lights)
-        own, shared = self.own.clone(), self.shared.clone()
-        for part, further in ((own, prior), (shared, 0.0)):
-            diagonal = part.diagonal(dim1=-2, dim2=-1)
+        """The same with `relative` of the diagonal, and `absolute`, added to the diagonal."""
+        lights = self.channels.shape[1] // len(self.colour)
+        prior = ((self.brightness + 2.0 * self.colour).diagonal() / 3.0).repeat(lights)
+        channels, shared = self.channels.clone(), self.shared.clone()
+        for matrix, further in ((channels, prior), (shared, 0.0)):
+            diagonal = matrix.diagonal(dim1=-2, dim2=-1)
             diagonal += relative * (diagonal + further) + absolute
-        return System(own, self.cross, shared, self.brightness, self.tint)
+        return System(channels, self.cross, shared, self.brightness, self.colour)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """x (3, N) and y (R,) of a `System`, and what the damping had to be multiplied with; 1 if it was enough."""
+
+    x: torch.Tensor
+    y: torch.Tensor
+    damping_factor: float
 
 
 def solve(
-    system: System, x: torch.Tensor, y: torch.Tensor, damping: float
-) -> tuple[torch.Tensor, torch.Tensor, float]:
-    """What solves the damped equations with right-hand sides x (3, N) and y (R,), and how much harder they had to be damped
-    until there was such a thing: rounding may leave equations that have none.
+    system: System, x: torch.Tensor, y: torch.Tensor, damping: float, settings: PcgSettings
+) -> Solution:
+    """Solve the damped equations with the right-hand sides x (3, N) and y (R,), with more damping where they have no solution.
 
     Raises:
-        DanteError: there is none.
+        DanteError: there is no solution with any damping.
     """
-    for further in (1.0, *HARDER):
-        found = _descend(system.damped(0.01 * damping * further, 1e-8 * further), x, y)
-        if found is not None:
-            return *found, further
+    for factor in (1.0, *settings.retries):
+        relative = settings.relative_damping * damping * factor
+        solution = _descend(system.damped(relative, settings.absolute_damping * factor), x, y, settings)
+        if solution is not None:
+            return Solution(*solution, factor)
     raise DanteError("The photos' light cannot be solved for; take --irradiance field.")
 
 
-def _descend(system: System, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor] | None:
+def _descend(
+    system: System, x: torch.Tensor, y: torch.Tensor, settings: PcgSettings
+) -> tuple[torch.Tensor, torch.Tensor] | None:
     """Conjugate gradients from 0 (Hestenes and Stiefel, 1952); None if the equations are not positive definite."""
     precondition = _preconditioner(system)
     if precondition is None:
         return None
-    found = torch.zeros_like(x), torch.zeros_like(y)
-    left, along = (x, y), precondition(x, y)
-    size = first = _dot(left, along)
-    for _ in range(ITERATIONS):
+    solution = torch.zeros_like(x), torch.zeros_like(y)
+    residual, direction = (x, y), precondition(x, y)
+    size = first = _dot(residual, direction)
+    for _ in range(settings.iterations):
         if not math.isfinite(size):
             return None
-        if size <= TOLERANCE**2 * first:
+        if size <= settings.tolerance**2 * first:
             break
-        answer = system.times(*along)
-        curvature = _dot(along, answer)
+        product = system.times(*direction)
+        curvature = _dot(direction, product)
         if not curvature > 0.0:
             return None
-        found = _plus(found, size / curvature, along)
-        left = _plus(left, -size / curvature, answer)
-        down = precondition(*left)
-        before, size = size, _dot(left, down)
-        along = _plus(down, size / before, along)
-    return found
+        solution = _plus(solution, size / curvature, direction)
+        residual = _plus(residual, -size / curvature, product)
+        gradient = precondition(*residual)
+        before, size = size, _dot(residual, gradient)
+        direction = _plus(gradient, size / before, direction)
+    return solution
 
 
 def _preconditioner(
     system: System,
 ) -> Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, torch.Tensor]] | None:
     """What solves the equations if all channels are as their mean; None if that has no solution."""
-    size, mean = system.own.shape[1], system.own.mean(dim=0)
+    size, mean = system.channels.shape[1], system.channels.mean(dim=0)
     whole = torch.empty((size + len(system.shared),) * 2, dtype=torch.float64)
-    whole[:size, :size] = _with(mean, system.brightness)
+    whole[:size, :size] = _with_prior(mean, system.brightness)
     whole[size:, :size] = torch.einsum("c,crn->rn", OPPONENT[0], system.cross)
     whole[size:, size:] = system.shared
     brightness, failed = torch.linalg.cholesky_ex(whole)  # of which the lower triangle is all that is read
-    tints, also = torch.linalg.cholesky_ex(_with(mean, system.tint))
-    if failed or also:
+    colour, also_failed = torch.linalg.cholesky_ex(_with_prior(mean, system.colour))
+    if failed or also_failed:
         return None
-    brightness, tints = brightness.float(), tints.float()  # rounding costs no more than an iteration
+    brightness, colour = brightness.float(), colour.float()  # rounding costs no more than an iteration
 
     def solved(x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        apart = OPPONENT @ x
-        first, others = torch.cat([apart[0], y])[:, None].float(), apart[1:].T.float()
+        opponent = OPPONENT @ x
+        first, others = torch.cat([opponent[0], y])[:, None].float(), opponent[1:].T.float()
         common = torch.cholesky_solve(first, brightness)[:, 0].double()
-        apart = torch.stack([common[:size], *torch.cholesky_solve(others, tints).T.double()])
-        return OPPONENT.T @ apart, common[size:]
+        opponent = torch.stack([common[:size], *torch.cholesky_solve(others, colour).T.double()])
+        return OPPONENT.T @ opponent, common[size:]
 
     return solved
 
 
-def _with(own: torch.Tensor, prior: torch.Tensor) -> torch.Tensor:
-    """(N, N), and (D, D) added to each light's own."""
+def _with_prior(matrix: torch.Tensor, prior: torch.Tensor) -> torch.Tensor:
+    """(N, N) with the prior (D, D) added to each light's block."""
     directions = len(prior)
-    found = own.clone()
-    lights = found.reshape(-1, directions, len(own) // directions, directions).diagonal(dim1=0, dim2=2)
-    lights += prior[..., None]
-    return found
+    whole = matrix.clone()
+    blocks = whole.reshape(-1, directions, len(matrix) // directions, directions).diagonal(dim1=0, dim2=2)
+    blocks += prior[..., None]
+    return whole
 
 
 _Pair = tuple[torch.Tensor, torch.Tensor]

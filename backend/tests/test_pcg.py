@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
 from dante_w.contract.errors import DanteError
-from dante_w.traced.solver import pcg as channels
-from dante_w.traced.solver.pcg import System, solve
+from dante_w.traced.solver.pcg import PcgSettings, Solution, System, solve
 
 LIGHTS, DIRECTIONS, SHARED = 3, 8, 5
 SIZE = LIGHTS * DIRECTIONS
+SETTINGS = PcgSettings()
 
 
 def definite(random: np.random.Generator, size: int) -> np.ndarray:
@@ -23,11 +25,11 @@ def problem(alike: bool, seed: int = 0) -> tuple[System, torch.Tensor, torch.Ten
     random = np.random.default_rng(seed)
     first = definite(random, SIZE + SHARED)
     parts = [first if alike else definite(random, SIZE + SHARED) * (channel + 1.0) for channel in range(3)]
-    own = np.stack([part[:SIZE, :SIZE] for part in parts])
+    channels = np.stack([part[:SIZE, :SIZE] for part in parts])
     cross = np.stack([part[SIZE:, :SIZE] for part in parts])
     shared = sum(part[SIZE:, SIZE:] for part in parts)
     prior = 0.5 * definite(random, DIRECTIONS), 20.0 * definite(random, DIRECTIONS)
-    system = System(*(torch.from_numpy(np.asarray(each)) for each in (own, cross, shared, *prior)))
+    system = System(*(torch.from_numpy(np.asarray(each)) for each in (channels, cross, shared, *prior)))
     right = random.normal(0.0, 1.0, (3, SIZE)), random.normal(0.0, 1.0, SHARED)
     return system, *(torch.from_numpy(each) for each in right)
 
@@ -35,68 +37,70 @@ def problem(alike: bool, seed: int = 0) -> tuple[System, torch.Tensor, torch.Ten
 def dense(system: System) -> np.ndarray:
     """The whole matrix: channels one after another, then what they share."""
     grey, lights = np.full((3, 3), 1.0 / 3.0), np.eye(LIGHTS)
-    brightness, tint = system.brightness.numpy(), system.tint.numpy()
+    brightness, colour = system.brightness.numpy(), system.colour.numpy()
     matrix = np.zeros((3 * SIZE + SHARED,) * 2)
     matrix[:-SHARED, :-SHARED] = np.kron(grey, np.kron(lights, brightness)) + np.kron(
-        np.eye(3) - grey, np.kron(lights, tint)
+        np.eye(3) - grey, np.kron(lights, colour)
     )
-    for channel, own in enumerate(system.own.numpy()):
+    for channel, block in enumerate(system.channels.numpy()):
         place = slice(channel * SIZE, (channel + 1) * SIZE)
-        matrix[place, place] += own
+        matrix[place, place] += block
         matrix[-SHARED:, place] = system.cross[channel].numpy()
         matrix[place, -SHARED:] = system.cross[channel].numpy().T
     matrix[-SHARED:, -SHARED:] = system.shared.numpy()
     return matrix
 
 
-def error(found: tuple[torch.Tensor, torch.Tensor, float], wanted: np.ndarray) -> float:
-    x, y, _ = found
-    return float(np.abs(np.r_[x.numpy().ravel(), y.numpy()] - wanted).max() / np.abs(wanted).max())
+def error(solution: Solution, wanted: np.ndarray) -> float:
+    return float(
+        np.abs(np.r_[solution.x.numpy().ravel(), solution.y.numpy()] - wanted).max() / np.abs(wanted).max()
+    )
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("damping", [0.0, 1.0, 50.0])
-def test_the_solution_is_that_of_the_whole_matrix(seed, damping, monkeypatch):
+def test_the_solution_is_that_of_the_whole_matrix(seed, damping):
     system, x, y = problem(alike=False, seed=seed)
     matrix = dense(system)
     matrix += np.diag(0.01 * damping * matrix.diagonal() + 1e-8)
     wanted = np.linalg.solve(matrix, np.r_[x.numpy().ravel(), y.numpy()])
-    assert error(solve(system, x, y, damping), wanted) < 0.01
-    monkeypatch.setattr(channels, "TOLERANCE", 1e-10)
-    assert error(solve(system, x, y, damping), wanted) < 1e-6
+    assert error(solve(system, x, y, damping, SETTINGS), wanted) < 0.01
+    exact = dataclasses.replace(SETTINGS, tolerance=1e-10)
+    assert error(solve(system, x, y, damping, exact), wanted) < 1e-6
 
 
-def test_channels_that_are_alike_take_two_iterations(monkeypatch):
+def test_channels_that_are_alike_take_two_iterations():
     """Then what preconditions is all that there is, up to rounding."""
-    monkeypatch.setattr(channels, "ITERATIONS", 2)
+    settings = dataclasses.replace(SETTINGS, iterations=2)
     system, x, y = problem(alike=True)
     wanted = np.linalg.solve(dense(system), np.r_[x.numpy().ravel(), y.numpy()])
-    assert error(solve(system, x, y, 0.0), wanted) < 1e-6
+    assert error(solve(system, x, y, 0.0, settings), wanted) < 1e-6
     other, x, y = problem(alike=False)
     wanted = np.linalg.solve(dense(other), np.r_[x.numpy().ravel(), y.numpy()])
-    assert error(solve(other, x, y, 0.0), wanted) > 1e-3
+    assert error(solve(other, x, y, 0.0, settings), wanted) > 1e-3
 
 
 def test_nothing_to_do_is_done():
     system, x, y = problem(alike=False)
-    found, further, harder = solve(system, 0.0 * x, 0.0 * y, 1.0)
-    assert not found.any() and not further.any() and harder == 1.0
+    solution = solve(system, 0.0 * x, 0.0 * y, 1.0, SETTINGS)
+    assert not solution.x.any() and not solution.y.any() and solution.damping_factor == 1.0
 
 
 @pytest.mark.parametrize("channel", [None, 1])
 def test_equations_that_rounding_breaks_are_damped_until_they_hold(channel):
     """With an eigenvalue a little below 0, in all channels or in one alone, where no factor shows it."""
     system, x, y = problem(alike=True)
-    values, turn = torch.linalg.eigh(system.own[0])
+    values, turn = torch.linalg.eigh(system.channels[0])
     bent = turn @ torch.diag(torch.cat([torch.tensor([-1e-3]).double(), values[1:]])) @ turn.T
-    own = bent.expand(3, -1, -1).clone() if channel is None else system.own.clone()
+    channels = bent.expand(3, -1, -1).clone() if channel is None else system.channels.clone()
     if channel is not None:
-        own[channel] = bent
+        channels[channel] = bent
     weak = 1e-9 * torch.eye(DIRECTIONS, dtype=torch.float64)
-    broken = System(own, 0.0 * system.cross, system.shared, weak, weak)
+    broken = System(channels, 0.0 * system.cross, system.shared, weak, weak)
     along = turn[:, 0].expand(3, -1)
-    found, further, harder = solve(broken, along, y, 1e-3)
-    assert torch.isfinite(found).all() and torch.isfinite(further).all() and harder > 1.0
-    assert solve(system, x, y, 1e-3)[2] == 1.0
+    solution = solve(broken, along, y, 1e-3, SETTINGS)
+    assert torch.isfinite(solution.x).all() and torch.isfinite(solution.y).all()
+    assert solution.damping_factor > 1.0 == solve(system, x, y, 1e-3, SETTINGS).damping_factor
     with pytest.raises(DanteError, match="cannot be solved"):
-        solve(System(torch.nan * own, system.cross, system.shared, weak, weak), x, y, 1e-3)
+        nothing = System(torch.nan * channels, system.cross, system.shared, weak, weak)
+        solve(nothing, x, y, 1e-3, SETTINGS)
