@@ -56,6 +56,7 @@ class World:
             bounce * np.tile(RADIANCE[:, 0], (len(points), 1, 1)),
             np.ones((len(points), 3), np.float32),
             np.ones(len(points), bool),
+            brightest_albedo=1.0,
         )
         cache = dataclasses.replace(cache, footprint=np.full(len(cache), 1.5 / SIZE, np.float32))
         scene = TracedScene(cameras, points, seen, transfer, None, None, lights.cluster)

@@ -59,7 +59,7 @@ def moved(world, light, log_irradiance, as_good=1.25):
     target = np.log(seen.colour) - exposure[seen.photo, None]
     weight = np.ones_like(target)
     known, nothing = np.ones(POINTS, bool), np.zeros(0)
-    lighting = Lighting(nothing, light, exposure, nothing, np.exp(log_albedo), known)
+    lighting = Lighting(nothing, light, exposure, nothing, np.exp(log_albedo), known, brightest_albedo=0.5)
     return reassign_photos(target, np.exp(log_irradiance), weight, seen, lighting, as_good)
 
 
