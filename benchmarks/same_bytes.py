@@ -56,7 +56,7 @@ def parse() -> argparse.Namespace:
 def default_scenes() -> list[Path]:
     """The demo's scene, and the shared ones that are there."""
     demo = ROOT / "build" / "demo" / "scene"
-    if not (demo / "transforms.json").is_file():
+    if not (demo / "transforms_train.json").is_file():
         blender("render_scene.py", [str(demo), *DEMO])
     return [demo, *(scene for scene in SCENES if scene.is_dir())]
 
