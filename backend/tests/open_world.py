@@ -112,15 +112,15 @@ def solve(
     """Lights from these clusters or coarse lights; arguments as of `solve_lights` and `evidence_of`."""
     steps: list[tuple[int, int]] = []
     evidence = evidence_of(world, settings, **known)
-    found = solve_lights(
+    lighting = solve_lights(
         evidence, world.transport, start, settings, seed, lambda *step: steps.append(step), fine
     )
-    if not found.setbacks:
+    if not lighting.setbacks:
         assert [step for step, _ in steps] == list(range(1, steps[-1][1] + 1))
-    return found
+    return lighting
 
 
-def albedo_error(world: World, found: Lighting) -> float:
+def albedo_error(world: World, lighting: Lighting) -> float:
     """Rms of log albedo at known points, after one gain per channel."""
-    error = np.log(found.albedo[found.known]) - np.log(world.albedo[found.known])
+    error = np.log(lighting.albedo[lighting.known]) - np.log(world.albedo[lighting.known])
     return float(np.sqrt(np.square(error - error.mean(axis=0)).mean()))

@@ -28,13 +28,13 @@ def precisions(suns: int) -> tuple[np.ndarray, np.ndarray]:
     """Inverse covariances of log light in brightness and in colour: Gaussian processes on the sphere; of suns, that of a step."""
     directions = sphere(DIRECTIONS)[: DIRECTIONS - suns]
     angle = np.arccos(np.clip(directions @ directions.T, -1.0, 1.0))
-    found = []
+    matrices = []
     for deviation, length, mean in ((2.0, 0.5, 0.1), (0.15, 0.8, 0.1)):
         whole = np.eye(DIRECTIONS) / SUN**2
         covariance = deviation**2 * np.exp(-angle / length) + mean**2 + 1e-4 * np.eye(len(angle))
         whole[: len(angle), : len(angle)] = np.linalg.inv(covariance)
-        found.append(whole)
-    return found[0], found[1]
+        matrices.append(whole)
+    return matrices[0], matrices[1]
 
 
 def problem(seed: int = 0, suns: int = 0) -> tuple[Equations, np.ndarray, ExposurePrior]:
@@ -143,9 +143,9 @@ def the_long_way(
 def step(equations: Equations, exposure: np.ndarray, expected: ExposurePrior, damping: float = 0.0):
     directions = sphere(DIRECTIONS).astype(np.float32)
     precision = light_precision(directions, equations.suns, expected.free, LightPriorSettings())
-    found = gauss_newton_step(equations, exposure, expected, precision, damping, TO_THE_END)
-    assert found.damping_factor == 1.0
-    return found.log_radiance, found.log_exposure, found.log_albedo_scale
+    change = gauss_newton_step(equations, exposure, expected, precision, damping, TO_THE_END)
+    assert change.damping_factor == 1.0
+    return change.log_radiance, change.log_exposure, change.log_albedo_scale
 
 
 def near_the_mean(equations: Equations) -> Equations:
@@ -155,8 +155,8 @@ def near_the_mean(equations: Equations) -> Equations:
     )
 
 
-def agree(found, wanted) -> None:
-    for ours, theirs in zip(found, wanted, strict=True):
+def agree(solution, wanted) -> None:
+    for ours, theirs in zip(solution, wanted, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=2e-3, atol=2e-4 * np.abs(theirs).max() + 1e-7)
 
 

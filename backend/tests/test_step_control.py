@@ -38,9 +38,9 @@ def strike(monkeypatch: pytest.MonkeyPatch, wild: Callable[[Step], Step], *turns
     taken: list[int] = []
 
     def step(*arguments: Any) -> Step:
-        found = gauss_newton_step(*arguments)
+        lighting = gauss_newton_step(*arguments)
         taken.append(len(taken))
-        return wild(found) if taken[-1] in turns or not turns else found
+        return wild(lighting) if taken[-1] in turns or not turns else lighting
 
     monkeypatch.setattr(levenberg_marquardt, "gauss_newton_step", step)
 
@@ -49,8 +49,8 @@ def solved(world: World, settings: SolverSettings = SETTINGS) -> Lighting:
     return solve(world, np.arange(PHOTOS) % LIGHTS, settings)
 
 
-def assert_finite(found: Lighting) -> None:
-    for each in (found.radiance, found.log_exposure, found.bounce, found.albedo):
+def assert_finite(lighting: Lighting) -> None:
+    for each in (lighting.radiance, lighting.log_exposure, lighting.bounce, lighting.albedo):
         assert np.isfinite(each).all()
 
 
@@ -73,20 +73,20 @@ def test_sound_steps_are_accepted(plain):
 @pytest.mark.parametrize("turn", [1, 7, 12])  # the second, the first with all directions, the last
 def test_a_step_that_diverges_is_taken_again_and_all_ends_as_well(world, plain, monkeypatch, wild, turn):
     strike(monkeypatch, WILD[wild], turn)
-    found = solved(world)
-    (setback,) = found.setbacks
+    lighting = solved(world)
+    (setback,) = lighting.setbacks
     assert setback.rate < 1.0 and ("finite" in setback.reason or "rose" in setback.reason)
-    assert_finite(found)
-    assert albedo_error(world, found) < 1.1 * albedo_error(world, plain)
+    assert_finite(lighting)
+    assert albedo_error(world, lighting) < 1.1 * albedo_error(world, plain)
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_a_solve_that_cannot_be_saved_ends_where_it_was_sound(world, monkeypatch):
     strike(monkeypatch, WILD["not a number"])
-    found = solved(world)
-    assert len(found.setbacks) == MOST and {each.step for each in found.setbacks} == {1}
-    assert_finite(found)
-    assert np.ptp(found.radiance) < 1.0, "as at first"
+    lighting = solved(world)
+    assert len(lighting.setbacks) == MOST and {each.step for each in lighting.setbacks} == {1}
+    assert_finite(lighting)
+    assert np.ptp(lighting.radiance) < 1.0, "as at first"
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -95,12 +95,12 @@ def test_a_step_is_taken_again_with_more_damping_each_time(world, monkeypatch):
 
     def step(*arguments: Any) -> Step:
         dampings.append(arguments[-2])
-        found = gauss_newton_step(*arguments)
-        return WILD["not a number"](found) if 2 <= len(dampings) <= 4 else found
+        lighting = gauss_newton_step(*arguments)
+        return WILD["not a number"](lighting) if 2 <= len(dampings) <= 4 else lighting
 
     monkeypatch.setattr(levenberg_marquardt, "gauss_newton_step", step)
-    found = solved(world)
-    assert [each.rate for each in found.setbacks] == pytest.approx([0.1, 0.01, 0.001])
+    lighting = solved(world)
+    assert [each.rate for each in lighting.setbacks] == pytest.approx([0.1, 0.01, 0.001])
     np.testing.assert_allclose(np.subtract(dampings[2:5], dampings[1]), [9.0, 99.0, 999.0])
 
 
@@ -126,17 +126,17 @@ def test_equations_that_needed_more_damping_are_reported(world, monkeypatch):
         return replace(gauss_newton_step(*arguments), damping_factor=1e3)
 
     monkeypatch.setattr(levenberg_marquardt, "gauss_newton_step", step)
-    found = solved(world, replace(SETTINGS, fine_steps=0))
-    assert {each.rate for each in found.setbacks} == {1e-3}
-    assert len(found.setbacks) == SETTINGS.coarse_steps - len(SETTINGS.reassignments)
+    lighting = solved(world, replace(SETTINGS, fine_steps=0))
+    assert {each.rate for each in lighting.setbacks} == {1e-3}
+    assert len(lighting.setbacks) == SETTINGS.coarse_steps - len(SETTINGS.reassignment_steps)
 
 
 def test_setbacks_are_kept_with_the_lights(plain, tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoints, "SECONDS", 0.0)
     setbacks = (Setback(5, "the cost rose", 0.1), Setback(6, "the cost rose", 0.01))
     Checkpoints(tmp_path / "kept", "key").save("lights", replace(plain, setbacks=setbacks))
-    found = Checkpoints(tmp_path / "kept", "key").load("lights", Lighting)
-    assert found is not None and found.setbacks == setbacks
+    lighting = Checkpoints(tmp_path / "kept", "key").load("lights", Lighting)
+    assert lighting is not None and lighting.setbacks == setbacks
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -148,6 +148,6 @@ def test_setbacks_are_in_the_report(scene: Path, tmp_path, monkeypatch, wild):
     for part in ("clusters", "exposures", "specular"):  # nothing is tried: the first step is the fit's
         options += ["--model", part]
     assert main(["recover", str(scene), "--out", str(tmp_path / "out"), *options]) == 0
-    found = json.loads((tmp_path / "out/report.json").read_text())["setbacks"]
-    assert list(found) == ["lights"] and len(found["lights"]) == wild
-    assert all(set(each) == {"step", "reason", "rate"} for each in found["lights"])
+    setbacks = json.loads((tmp_path / "out/report.json").read_text())["setbacks"]
+    assert list(setbacks) == ["lights"] and len(setbacks["lights"]) == wild
+    assert all(set(each) == {"step", "reason", "rate"} for each in setbacks["lights"])

@@ -87,10 +87,10 @@ class World:
 def test_a_sun_is_found_where_it_stands_and_its_shadows_leave_the_albedo(strength):
     world = World(strength)
     lights = world.solved()
-    transport, found = world.with_suns(lights)
-    assert transport.suns == 1 and found.setbacks == ()
+    transport, lighting = world.with_suns(lights)
+    assert transport.suns == 1 and lighting.setbacks == ()
     assert np.degrees(np.arccos(transport.directions[-1] @ SUN)) < 2.0
-    assert world.error(found) < 0.6 * world.error(lights)
+    assert world.error(lighting) < 0.6 * world.error(lights)
 
 
 @pytest.mark.parametrize(("strength", "posts"), [(0.0, True), (4.0, False)])

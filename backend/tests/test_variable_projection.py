@@ -73,8 +73,8 @@ def test_it_is_the_same_written_out_in_float64(first, observations):
     numbers = np.float32(1.0 / OUTLIER), np.float32(LEAST_DIFFUSE), np.float32(FARTHEST), 2, 2
     del arrays["point"]
     project_points(*arrays.values(), first, *numbers, log_albedo, *out)
-    for found, exact in zip([log_albedo, *out], expected, strict=True):
-        np.testing.assert_allclose(found, exact, rtol=2e-4, atol=2e-5)
+    for result, exact in zip([log_albedo, *out], expected, strict=True):
+        np.testing.assert_allclose(result, exact, rtol=2e-4, atol=2e-5)
 
 
 def test_rows_are_sorted_by_point_and_keep_their_order():

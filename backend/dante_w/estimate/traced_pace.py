@@ -162,7 +162,7 @@ def measure_traced(
 def predict_traced(pace: TracedPace, work: TracedWork) -> dict[str, float]:
     """Seconds of the stages between `rays` and `bake`, in their order."""
     observations, few = work.observations, min(SOLVER.coarse_directions, work.directions)
-    reassigned = [step for step, _ in SOLVER.reassignments]
+    reassigned = [step for step, _ in SOLVER.reassignment_steps]
 
     def step(lights: int, directions: int) -> float:
         """The equations of a Gauss-Newton step, made and solved."""

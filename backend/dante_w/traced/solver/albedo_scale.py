@@ -22,10 +22,11 @@ class AlbedoScaleSettings:
     brightest: float = 0.5
     #: Quantile of the points' largest channel that counts as the brightest albedo: few points are errors.
     quantile: float = 0.98
-    #: Step after which specular and bounced light, which depend on the true scale, correct it once.
+    #: Number of the step, from 0, after which specular and bounced light, which depend on the true scale, correct it once.
     step: int = 13
-    #: How much of that correction, in logarithms, is believed. On rendered objects the true scale follows it by a slope of about 0.5.
-    gain: float = 0.55
+    #: How much of that correction, in logarithms, is taken: the true scale of rendered objects follows it by a slope of about
+    #: 0.5 (`bench gigalit`).
+    correction: float = 0.55
     #: Bounds of the corrected value.
     bounds: tuple[float, float] = (0.25, 0.9)
 
@@ -90,4 +91,4 @@ def with_gain(lighting: Lighting, log_albedo: np.ndarray, gain: Gain) -> Lightin
 
 def corrected_brightest(change: float, settings: AlbedoScaleSettings) -> float:
     """The brightest albedo after a `change` of the log scale that specular and bounced light ask for."""
-    return float(np.clip(settings.brightest * np.exp(settings.gain * change), *settings.bounds))
+    return float(np.clip(settings.brightest * np.exp(settings.correction * change), *settings.bounds))

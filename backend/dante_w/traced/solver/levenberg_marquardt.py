@@ -71,7 +71,7 @@ def minimise(
     free = evidence.exposure_prior.free
     precision = light_precision(transport.directions, transport.suns, free, settings.light_prior)
     problem = Problem(evidence, transport, precision, settings)
-    reassignments = dict(settings.reassignments) if evidence.components.clusters else {}
+    reassignments = dict(settings.reassignment_steps) if evidence.components.clusters else {}
     generator = np.random.default_rng(seed)
     rules = settings.step_control
 

@@ -29,7 +29,7 @@ class LightPriorSettings:
     mean_colour: float = 0.1
     #: Deviation of the mean brightness where exposures are free: these then take up how bright a light is.
     mean_brightness: float = 0.1
-    #: The same where exposures are known or one for all photos: then nothing else can take it up.
+    #: The same where exposures are known or one for all photos: then nothing else can take it up (`bench real`).
     open_mean_brightness: float = 10.0
     #: Deviation of a sun's log radiance from its value before the step.
     sun_step: float = 0.3

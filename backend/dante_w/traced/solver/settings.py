@@ -30,9 +30,10 @@ class SolverSettings:
     continued_steps: int = 3
     #: Steps before specular radiance is modelled, which needs an albedo.
     steps_without_specular: int = 2
-    #: After these steps photos may change clusters; a light is given up if another explains its photos with no more than so
-    #: many times their residuals. Early on all explain badly, and photos of two lights that became one do not part again.
-    reassignments: tuple[tuple[int, float], ...] = ((3, 1.1), (5, 1.15), (7, 1.25))
+    #: In place of these steps photos may change clusters; a light is given up if another explains its photos with no more than so
+    #: many times their residuals. Early on all explain badly, and photos of two lights that became one do not part again
+    #: (`bench gigalit`).
+    reassignment_steps: tuple[tuple[int, float], ...] = ((3, 1.1), (5, 1.15), (7, 1.25))
     #: Shading points that a step looks at, drawn anew each time. They set the length scale of the smoothness prior: more lie
     #: closer together, where neighbours say less, and make results worse (`bench tradeoff`).
     points_per_step: int = 2500
