@@ -23,6 +23,7 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -73,7 +74,8 @@ def make(environment: Environment) -> Path:
     """Make `environment` unless its stamp says that it is whole and up to date; returns its Python."""
     python = find_python(environment.pythons)
     lists = environment.requirements + environment.without_dependencies
-    pins = "".join((ROOT / name).read_text(encoding="utf-8") for name in lists)
+    sources = [f"{environment.editable}/pyproject.toml"] if environment.editable else []  # names the commands
+    pins = "".join((ROOT / name).read_text(encoding="utf-8") for name in (*lists, *sources))
     stamp = ROOT / environment.name / "dev-stamp.txt"
     wanted = hashlib.sha256(f"{version(python)}\n{pins}".encode()).hexdigest()
     if stamp.is_file() and stamp.read_text() == wanted and environment.python.exists():
@@ -165,18 +167,21 @@ def bench(name: str, options: list[str], environment: Environment = BENCH) -> in
 
 
 def test(fast: bool, options: list[str]) -> int:
-    """Lint, types, and all tests: everything that CI runs. `options` go to pytest."""
+    """Lint, types, and all tests: everything that CI runs. `options` go to pytest.
+
+    Two lanes of parts run side by side: most tests keep one core busy.
+    """
     python = str(make(BACKEND))
     child = {**child_environment(), "DANTEW_BACKEND_PYTHON": python}
     pytest_options = [*(["-m", "not slow"] if fast else []), *options]
-    parts = [
+    backend = [
         Part("ruff check", [python, "-m", "ruff", "check", "."], ROOT),
         Part("ruff format", [python, "-m", "ruff", "format", "--check", "."], ROOT),
         Part("mypy", [python, "-m", "mypy"], ROOT / "backend"),
         Part("backend", [python, "-m", "pytest", *pytest_options], ROOT / "backend"),
-        Part("benchmarks", [str(make(BENCH)), "-m", "pytest", *pytest_options], ROOT / "benchmarks"),
     ]
-    results = [part.run(child, bool(options)) for part in parts]
+    others = [Part("benchmarks", [str(make(BENCH)), "-m", "pytest", *pytest_options], ROOT / "benchmarks")]
+    results = []
     for environment, name in ((BPY_45, "bpy 4.5"), (BPY_52, "bpy 5.2")):
         try:
             bpy_python = str(make(environment))
@@ -185,7 +190,12 @@ def test(fast: bool, options: list[str]) -> int:
             results.append(Result(name, 0, 1 if os.environ.get("CI") == "true" else 0, 0.0))
             continue
         tests = [bpy_python, "-m", "pytest", "-q", "blender_tests", *pytest_options]
-        results.append(Part(name, tests, ROOT).run(child, bool(options)))
+        others.append(Part(name, tests, ROOT))
+    with ThreadPoolExecutor(2) as lanes:
+        for lane in lanes.map(
+            lambda parts: [part.run(child, bool(options)) for part in parts], (backend, others)
+        ):
+            results += lane
 
     print(f"\n{'part':<12} {'passed':>7} {'failed':>7} {'seconds':>8}")
     for result in results:
@@ -212,10 +222,10 @@ class Part(NamedTuple):
     folder: Path
 
     def run(self, env: dict[str, str], selected: bool) -> Result:
-        """Run it with its output shown; `selected` allows that no test matched the given options."""
-        say(self.name)
+        """Run it and show its output when it has ended; `selected` allows that no test matched the given options."""
+        say(f"{self.name} runs")
         start = time.monotonic()
-        process = subprocess.Popen(
+        done = subprocess.run(
             self.command,
             cwd=self.folder,
             env=env,
@@ -224,16 +234,18 @@ class Part(NamedTuple):
             encoding="utf-8",
             errors="replace",
         )
-        last = ""
-        for line in process.stdout or ():
-            print(line, end="", flush=True)
-            last = line if re.search(r" in [\d.]+s", line) else last
-        code = process.wait()
+        print(f"== {self.name}\n{done.stdout}", end="", flush=True)
+        code, last = done.returncode, summary_of(done.stdout)
         passed, failed = counts(last) if "pytest" in self.command else (0, 0)
         nothing_matched = selected and code == 5
         if code and not failed and not nothing_matched:
             failed = 1
         return Result(self.name, passed, failed, time.monotonic() - start)
+
+
+def summary_of(output: str) -> str:
+    """pytest's last line."""
+    return next((line for line in reversed(output.splitlines()) if re.search(r" in [\d.]+s", line)), "")
 
 
 def counts(summary: str) -> tuple[int, int]:
