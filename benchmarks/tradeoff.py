@@ -71,8 +71,6 @@ _TRACED_KNOBS: dict[str, list[Value]] = {
     "shading points": [(f"{n} x {n}", {"traced.shading.side": n}) for n in (64, 128, 256, 512)],
     "points a step": [(f"{n}", {"traced.solver.points_per_step": n}) for n in (600, 2500, 10000)],
     "last steps": [(f"{n}", {"traced.solver.fine_steps": n}) for n in (5, 7, 14)],
-    "points a step": [(f"{n}", {"traced.solver.points_per_step": n}) for n in (600, 2500, 10000)],
-    "last steps": [(f"{n}", {"traced.solver.fine_steps": n}) for n in (5, 7, 14)],
     "texture-size": _TEXTURES,
     SEED: _SEEDS,
 }

@@ -1,4 +1,4 @@
-"""`dante_w.recover`: the command's work as a function, with settings of the caller's."""
+"""`recover`: the command's work as a function, with settings of the caller's."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import json
 from dataclasses import replace
 
 import pytest
-from dante_w import RecoverOptions, recover
+from dante_w.commands.recover import recover
 from dante_w.contract.errors import BadInput
+from dante_w.options import RecoverOptions
 from small_settings import small_preset
 
 

@@ -24,7 +24,7 @@ RAISE = """
 import torch
 from dante_w.commands import recover
 def fail(*_): raise {error}
-recover.recover = fail
+recover.recover_into = fail
 """
 ERRORS = {
     "CUDA": "torch.OutOfMemoryError('CUDA out of memory. Tried to allocate 20.00 GiB.')",

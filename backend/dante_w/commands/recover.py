@@ -24,7 +24,32 @@ from dante_w.texture.coverage import empty_coverage, mark
 from dante_w.texture.photo_average import PhotoAverage
 
 
-def recover(
+def recover(options: RecoverOptions, settings: Preset | None = None) -> dict[str, Any]:
+    """Recover the albedo texture into `options.out`, in this process; returns what report.json holds.
+
+    Args:
+        options: what the command line offers, with `out`.
+        settings: numbers of both models, in place of those of the preset; see `presets.PRESETS`.
+
+    Raises:
+        DanteError: what the command ends with, see `contract.errors`; a former result stays as it was.
+
+    Example:
+        report = recover(RecoverOptions(Path("scene"), out=Path("result"), preset="draft"))
+    """
+    if options.out is None:
+        raise BadInput("A recovery needs a folder for its result; name one as out.")
+    staging = stage(options.out, names_to_write(options.format, options.unwrap))
+    try:
+        report = recover_into(options, staging, Progress(as_json=False), settings)
+        publish(options.out)
+    except BaseException:
+        abandon(options.out)
+        raise
+    return report
+
+
+def recover_into(
     options: RecoverOptions, staging: Path, progress: Progress, settings: Preset | None = None
 ) -> dict[str, Any]:
     """Recover the albedo texture into `staging`; returns the report. `options` are the command's.
@@ -46,20 +71,6 @@ def recover(
     if options.uses_field:
         return recover_field(options, preset, staging, progress)
     return recover_traced(options, preset, staging, progress) if distributed.rank() == 0 else {}
-
-
-def recover_and_publish(options: RecoverOptions, settings: Preset | None = None) -> dict[str, Any]:
-    """As `dante_w.recover`."""
-    if options.out is None:
-        raise BadInput("A recovery needs a folder for its result; name one as out.")
-    staging = stage(options.out, names_to_write(options.format, options.unwrap))
-    try:
-        report = recover(options, staging, Progress(as_json=False), settings)
-        publish(options.out)
-    except BaseException:
-        abandon(options.out)
-        raise
-    return report
 
 
 def plan(

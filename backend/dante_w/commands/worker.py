@@ -121,7 +121,7 @@ def _work(call: Call, progress: Progress, settings: Preset | None) -> dict[str, 
         staging = stage(options.out, names_to_write(options.format, options.unwrap))
     if call.command == "average":
         return recover.average(options, staging, progress)
-    work = recover.recover if call.command == "recover" else recover.plan
+    work = recover.recover_into if call.command == "recover" else recover.plan
     return work(options, staging, progress, settings)
 
 
