@@ -77,25 +77,31 @@ def test_an_image_of_the_same_name_takes_the_picture(addon, scene):
     assert tuple(bpy.data.images["picture"].size) == (64, 48)
 
 
-def test_cancel_leaves_nothing(addon, scene):
+def test_cancel_leaves_nothing(addon, scene, tmp_path, monkeypatch):
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
     before, files = state(), os.listdir(bpy.app.tempdir)
     assert not bpy.ops.dantew.cancel_relight.poll()
     relight.watch(Relighting(bpy.context, list(hdris.presets().values()), TINY), "picture")
     assert not bpy.ops.dantew.relight.poll() and bpy.ops.dantew.cancel_relight.poll()
     tick_until(lambda: relight.active.files)
+    relighting = relight.active
     started = time.monotonic()
     assert bpy.ops.dantew.cancel_relight() == {"FINISHED"}
     assert time.monotonic() - started < 1.0
     assert relight.active is None and not relight.last_message
-    assert state() == before and os.listdir(bpy.app.tempdir) == files
+    assert not relighting.update(), "its process lives on"
+    assert state() == before and os.listdir(bpy.app.tempdir) == files and not os.listdir(temporary)
     assert relight.tick() is None and bpy.ops.dantew.relight.poll()
 
 
 def test_opening_another_file_ends_a_running_preview(addon, scene):
     relight.watch(Relighting(bpy.context, [FOREST], TINY), "picture")
     assert not bpy.ops.dantew.relight.poll()
+    relighting = relight.active
     bpy.ops.wm.read_homefile(use_empty=True)
-    assert relight.active is None
+    assert relight.active is None and not relighting.update()
 
 
 def test_a_failing_render_is_one_sentence(scene, tmp_path):
