@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from dante_w.field.presets import PRESETS
+from dante_w.presets import PRESETS
 from measure.command import ROOT, blender
 from measure.machine import provenance
 from measure.metrics import psnr

@@ -10,25 +10,26 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import torch
-from dante_w.field.batches import RUN
-from dante_w.field.cpu.step import FusedStep
-from dante_w.field.cuda import grid as triton_grid
-from dante_w.field.cuda.step import TritonStep
-from dante_w.field.fields import Model, ModelSpec
-from dante_w.field.optimise import LossTerms, Step, TorchStep
-from dante_w.field.presets import PRESETS, SMALL_OFFSET, WHITE_LIGHT
+from dante_w.field.batches import DRAWING
+from dante_w.field.cpu.step import CpuStep
+from dante_w.field.cuda import grid as cuda_grid
+from dante_w.field.cuda.step import CudaStep
+from dante_w.field.fields import FieldModel, FieldSpec
+from dante_w.field.settings import STANDARD
+from dante_w.field.step import Step, TorchStep
+from dante_w.presets import PRESETS, Preset
 from dante_w.rays.ray_cache import Samples
 from dante_w.run.device import failure
 from measure.machine import provenance, sentence
 from measure.turns import median_seconds
 
-TERMS = LossTerms(white_light=WHITE_LIGHT, small_offset=SMALL_OFFSET)
+TERMS = STANDARD.terms(prior_weight=1.0, priors=False)
 PHOTOS = 40
 TORCH, NUMBA, TRITON = "plain torch", "numba", "triton"
 #: Texture coordinates between neighbouring pixels, as on the shared scenes: four texels of 2048.
@@ -46,19 +47,19 @@ PROFILED, KERNELS = 5, 15
 Engine = Callable[..., Step]
 
 
-def main() -> None:
-    options = parse()
+def main(arguments: Sequence[str] | None = None, presets: Mapping[str, Preset] = PRESETS) -> None:
+    options = parse(arguments)
     facts = provenance()
-    reason = (failure("cuda") or triton_grid.failure()) if options.device == "cuda" else None
+    reason = (failure("cuda") or cuda_grid.failure()) if options.device == "cuda" else None
     if reason:
         print(f"--device {options.device} could not be run here: {reason}.")
         content: dict[str, Any] = {"could_not_be_run": reason}
     elif options.device == "cuda":
-        content = on_cuda(options)
+        content = on_cuda(options, presets)
     else:
-        preset = PRESETS[options.preset or "standard"]
-        batches = batches_of(options.batch or preset.schedule.batch, "cpu")
-        content = compare(preset.model, batches, options, NUMBA, FusedStep)
+        field = presets[options.preset or "standard"].field
+        batches = batches_of(options.batch or field.schedule.batch, "cpu")
+        content = compare(field.model, batches, options, NUMBA, CpuStep)
         print(table(f"`{options.preset or 'standard'}`", content))
     if "full_step_ratio" in content:
         print(f"\nA whole step is {content['full_step_ratio']:.1f} times as fast. {sentence(facts)}")
@@ -67,7 +68,7 @@ def main() -> None:
         print(json.dumps({"measured": facts, **setting, **content}))
 
 
-def parse() -> argparse.Namespace:
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
     parser.add_argument("--preset", choices=list(PRESETS), help="default: standard, on CUDA paper")
@@ -75,38 +76,38 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, default=5, help="how often each thing is timed")
     parser.add_argument("--together", type=int, default=TOGETHER, help="steps of either engine in a turn")
     parser.add_argument("--json", action="store_true", help="the last line is one JSON object")
-    return parser.parse_args()
+    return parser.parse_args(arguments)
 
 
-def on_cuda(options: argparse.Namespace) -> dict[str, Any]:
+def on_cuda(options: argparse.Namespace, presets: Mapping[str, Preset]) -> dict[str, Any]:
     """Times, GPU memory and profile of a preset's model, and of the same with albedo to `FINE`."""
     name = options.preset or "paper"
-    preset = PRESETS[name]
-    batches = batches_of(options.batch or preset.schedule.batch, "cuda")
+    field = presets[name].field
+    batches = batches_of(options.batch or field.schedule.batch, "cuda")
     samples, found = batches[0], {}
-    for finest in (preset.model.albedo.finest, FINE):
-        spec = replace(preset.model, albedo=replace(preset.model.albedo, finest=finest))
-        content = compare(spec, batches, options, TRITON, TritonStep)
+    for finest in (field.model.albedo.finest, FINE):
+        spec = replace(field.model, albedo=replace(field.model.albedo, finest=finest))
+        content = compare(spec, batches, options, TRITON, CudaStep)
         content["peak_gpu_bytes"] = {
-            name: peak_bytes(engine, spec, samples)
-            for name, engine in ((TORCH, TorchStep), (TRITON, TritonStep))
+            each: peak_bytes(engine, spec, samples)
+            for each, engine in ((TORCH, TorchStep), (TRITON, CudaStep))
         }
         print(table(f"`{name}`, albedo to {finest}", content))
-        peaks = (f"{name} {size / 1e9:.2f} GB" for name, size in content["peak_gpu_bytes"].items())
+        peaks = (f"{each} {size / 1e9:.2f} GB" for each, size in content["peak_gpu_bytes"].items())
         print(f"\nGPU memory at most: {', '.join(peaks)}.\n")
-        print(profile(Model(spec, PHOTOS).to("cuda"), samples))
+        print(profile(FieldModel(spec, PHOTOS).to("cuda"), samples))
         found[str(finest)] = content
     first = next(iter(found.values()))
     return {"preset": name, "full_step_ratio": first["full_step_ratio"], "finest": found}
 
 
 def compare(
-    spec: ModelSpec, batches: list[Samples], options: argparse.Namespace, name: str, engine: Engine
+    spec: FieldSpec, batches: list[Samples], options: argparse.Namespace, name: str, engine: Engine
 ) -> dict[str, Any]:
     """Seconds and samples per second of whole steps by plain torch and by the engine called `name`."""
     device, batch, together = batches[0].uv.device.type, len(batches[0].uv), options.together
     torch.manual_seed(0)
-    model = Model(spec, PHOTOS).to(device)
+    model = FieldModel(spec, PHOTOS).to(device)
     works = whole_steps(model, batches, {TORCH: TorchStep, name: engine}, together)
     seconds = {each: s / together for each, s in median_seconds(works, options.rounds, device).items()}
     return {
@@ -125,10 +126,10 @@ def batches_of(count: int, device: str) -> list[Samples]:
 def batch_of(count: int, device: str = "cpu", seed: int = 0) -> Samples:
     """Random samples as the fit draws them, in runs of neighbours in a photo's row."""
     random = torch.Generator().manual_seed(seed)
-    runs = -(-count // RUN)
-    along = torch.arange(RUN)[:, None] * torch.tensor([SPACING, 0.0, 0.0])
+    runs = -(-count // DRAWING.run)
+    along = torch.arange(DRAWING.run)[:, None] * torch.tensor([SPACING, 0.0, 0.0])
     position = (torch.rand(runs, 1, 3, generator=random) + along).clamp(0.0, 1.0).reshape(-1, 3)[:count]
-    photo = torch.randint(0, PHOTOS, (runs,), generator=random).repeat_interleave(RUN)[:count]
+    photo = torch.randint(0, PHOTOS, (runs,), generator=random).repeat_interleave(DRAWING.run)[:count]
     colour = torch.rand(count, 3, generator=random)
     weight = torch.rand(count, generator=random)
     fields = photo, position[:, :2].contiguous(), position, colour
@@ -136,7 +137,7 @@ def batch_of(count: int, device: str = "cpu", seed: int = 0) -> Samples:
 
 
 def whole_steps(
-    model: Model, batches: list[Samples], engines: dict[str, Engine], together: int
+    model: FieldModel, batches: list[Samples], engines: dict[str, Engine], together: int
 ) -> dict[str, Callable[[], object]]:
     """`together` whole steps by each of `engines`."""
 
@@ -148,11 +149,11 @@ def whole_steps(
     return {name: partial(steps, _start(engine, model)) for name, engine in engines.items()}
 
 
-def peak_bytes(engine: Engine, spec: ModelSpec, samples: Samples) -> int:
+def peak_bytes(engine: Engine, spec: FieldSpec, samples: Samples) -> int:
     """The most GPU memory that a new model and its fit take in a few steps; the batch is not counted."""
     device = samples.uv.device
     before = torch.cuda.memory_allocated(device)
-    step = _start(engine, Model(spec, PHOTOS).to(device))
+    step = _start(engine, FieldModel(spec, PHOTOS).to(device))
     for turn in range(2 * PROFILED):
         if turn == PROFILED:
             torch.cuda.reset_peak_memory_stats(device)
@@ -161,9 +162,9 @@ def peak_bytes(engine: Engine, spec: ModelSpec, samples: Samples) -> int:
     return torch.cuda.max_memory_allocated(device) - before
 
 
-def profile(model: Model, samples: Samples) -> str:
+def profile(model: FieldModel, samples: Samples) -> str:
     """Which kernels a step by Triton spends its time in: torch's own table."""
-    step = _start(TritonStep, model)
+    step = _start(CudaStep, model)
     for _ in range(PROFILED):
         step.gradients(samples)
         step.update(1.0)
@@ -177,7 +178,7 @@ def profile(model: Model, samples: Samples) -> str:
     return by_time.table(sort_by="self_device_time_total", row_limit=KERNELS, max_name_column_width=60)
 
 
-def _start(engine: Engine, model: Model) -> Step:
+def _start(engine: Engine, model: FieldModel) -> Step:
     return engine(model, TERMS, list(model.parameters()), 1e-3)
 
 

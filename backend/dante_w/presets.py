@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dante_w.contract.errors import BadInput
-from dante_w.field.presets import PRESETS as FIELD_PRESETS
-from dante_w.field.presets import Preset as FieldSettings
+from dante_w.field.settings import DRAFT, HIGH, PAPER, STANDARD, FieldSettings
 from dante_w.rays.cast_photos import CAST, CastSettings
 from dante_w.traced.settings import TracedSettings
 from dante_w.traced.shading_points import ShadingSettings
@@ -44,11 +43,10 @@ class Preset:
 
 
 #: Suns take a third of `draft`'s time. `high` has four times the points and larger textures.
-_TRACED = {
-    "draft": TracedSettings(directions=64, left_out=("sun",), goes_on=True),
-    "standard": TracedSettings(),
-    "high": TracedSettings(shading=ShadingSettings(side=512)),
-}
-PRESETS = {
-    name: Preset(name, field.texture_size, _TRACED.get(name), field) for name, field in FIELD_PRESETS.items()
-}
+_ALL = (
+    Preset("draft", 2048, TracedSettings(directions=64, left_out=("sun",), goes_on=True), DRAFT),
+    Preset("standard", 2048, TracedSettings(), STANDARD),
+    Preset("high", 8192, TracedSettings(shading=ShadingSettings(side=512)), HIGH),
+    Preset("paper", 2048, None, PAPER),
+)
+PRESETS = {preset.name: preset for preset in _ALL}

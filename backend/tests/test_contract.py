@@ -87,7 +87,6 @@ def test_nothing_of_the_contract_stands_twice():
     #: Same word, another idea: settings of each preset, photos that can be read.
     allowed = {
         "backend/dante_w/presets.py PRESETS",
-        "backend/dante_w/field/presets.py PRESETS",
         "backend/dante_w/scene/images.py FORMATS",
     }
     found = {

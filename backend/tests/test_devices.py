@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from dante_w.field import scale_ambiguity as gauge
-from dante_w.field.cpu import step as fused
-from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.cpu import step as cpu_step
+from dante_w.field.fields import FieldModel, FieldSpec
 from dante_w.field.hash_encoding import GridSpec
-from dante_w.field.optimise import LossTerms, Schedule, fit, psnr
-from dante_w.field.presets import sized
+from dante_w.field.inference import psnr
+from dante_w.field.optimise import Problem, Schedule, fit
+from dante_w.field.resolution import limit_resolution
+from dante_w.field.scale_ambiguity import albedo_gain, start_exposures
+from dante_w.field.terms import LossTerms
 from dante_w.rays.ray_cache import RayCache, Surface
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-SPEC = ModelSpec(GridSpec(2, 3, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 10), hidden=8, embedding=2)
+SPEC = FieldSpec(GridSpec(2, 3, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 10), hidden=8, embedding=2)
 
 
 class OnGpu(TorchDispatchMode):
@@ -51,16 +53,20 @@ def some_cache() -> RayCache:
 
 def fitted(cache: RayCache) -> None:
     torch.manual_seed(0)
-    model, ranges = Model(sized(SPEC, 64, cache), 3), np.array([[0, 200], [200, 400], [400, 600]])
-    gauge.start_exposures(model, cache)
-    fit(model, cache, ranges, LossTerms(True, 1.0, 0.1, 0.1), Schedule(2, 64), 0, lambda *_: None)
+    model, ranges = (
+        FieldModel(limit_resolution(SPEC, 64, cache), 3),
+        np.array([[0, 200], [200, 400], [400, 600]]),
+    )
+    start_exposures(model, cache)
+    problem = Problem(model, cache, ranges, LossTerms(True, 1.0, 0.1, 0.1))
+    fit(problem, Schedule(2, 64), 0, lambda *_: None)
     psnr(model, cache, np.arange(600))
-    gauge.albedo_gain(model, cache, ranges, 0)
+    albedo_gain(model, cache, ranges, 0)
 
 
 @pytest.fixture
 def by_torch(monkeypatch):
-    monkeypatch.setattr(fused, "computes", lambda *_: False)
+    monkeypatch.setattr(cpu_step, "supports", lambda *_: False)
 
 
 def test_nothing_needs_float64(by_torch):
@@ -70,8 +76,8 @@ def test_nothing_needs_float64(by_torch):
 
 
 def test_float64_would_be_seen(by_torch, monkeypatch):
-    whole = Model.light
-    monkeypatch.setattr(Model, "light", lambda *arguments: whole(*arguments).double().float())
+    whole = FieldModel.light
+    monkeypatch.setattr(FieldModel, "light", lambda *arguments: whole(*arguments).double().float())
     with OnGpu() as seen:
         fitted(some_cache())
     assert seen.found

@@ -41,29 +41,30 @@ distributed.join = fail
 sys.exit(cli.main())
 """
 
-#: Three steps in each of three ways on this process's half of each batch; the parameters go to `FOLDER/WAY-RANK.npy`.
+#: Three steps of each of three kinds on this process's half of each batch; the parameters go to `FOLDER/KIND-PROCESSES-RANK.npy`.
 STEPS = """
 import sys
 import numpy as np, torch
 from dante_w.run import distributed
-from dante_w.field.optimise import LossTerms, TorchStep
-from dante_w.field.cpu.step import FusedStep
-from dante_w.field.cuda.step import TritonStep
+from dante_w.field.step import TorchStep
+from dante_w.field.terms import LossTerms
+from dante_w.field.cpu.step import CpuStep
+from dante_w.field.cuda.step import CudaStep
 sys.path.insert(0, sys.argv[2])
-from test_fused import SPECS, all_of, some_model, some_samples
+from test_cpu_step import SPECS, all_of, some_model, some_samples
 
 distributed.join(torch.device("cpu"))
-for way in [TorchStep, FusedStep] + [TritonStep] * (sys.argv[3] == "triton"):
+for kind in [TorchStep, CpuStep] + [CudaStep] * (sys.argv[3] == "triton"):
     model, samples = some_model(SPECS["hash"]), some_samples(300, prior=True)
     count = 300 // distributed.world()
     own = slice(distributed.rank() * count, (distributed.rank() + 1) * count)
     parts = {name: getattr(samples, name)[own] for name in vars(samples)}
-    step = way(model, LossTerms(), all_of(model), 1e-2)
+    step = kind(model, LossTerms(), all_of(model), 1e-2)
     for _ in range(3):
         step.gradients(type(samples)(**parts))
         step.update(1.0, distributed.mean)
     flat = torch.cat([parameter.detach().reshape(-1) for parameter in model.parameters()])
-    np.save(f"{sys.argv[1]}/{way.__name__}-{distributed.world()}-{distributed.rank()}.npy", flat.numpy())
+    np.save(f"{sys.argv[1]}/{kind.__name__}-{distributed.world()}-{distributed.rank()}.npy", flat.numpy())
 if distributed.world() > 1:  # its threads abort a Python that ends by itself; the command does not, see `cli.main`
     torch.distributed.destroy_process_group()
 """
@@ -129,8 +130,8 @@ def test_steps_on_halves_of_a_batch_are_those_on_all_of_it(tmp_path):
     for processes in (1, 2):
         run = start([str(script), str(tmp_path), str(Path(__file__).parent), has_triton], processes)
         assert run.wait(120) == 0, run.stderr.read()
-    for way in ("TorchStep", "FusedStep", "TritonStep")[: 2 + (has_triton == "triton")]:
-        whole, first, second = (np.load(tmp_path / f"{way}-{name}.npy") for name in ("1-0", "2-0", "2-1"))
+    for kind in ("TorchStep", "CpuStep", "CudaStep")[: 2 + (has_triton == "triton")]:
+        whole, first, second = (np.load(tmp_path / f"{kind}-{name}.npy") for name in ("1-0", "2-0", "2-1"))
         assert first.tobytes() == second.tobytes()
         # Adam's first steps have the gradients' signs, which rounding decides where a gradient is nearly 0
         assert np.quantile(np.abs(first - whole), 0.99) < 1e-3

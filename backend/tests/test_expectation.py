@@ -12,11 +12,14 @@ import torch
 from conftest import make_scene
 from dante_w.contract.protocol import Quality
 from dante_w.estimate.expectation import QUALITY, Expectation, Work, predict
-from dante_w.estimate.pace import Fitting, Pace, Texture, measure, take
-from dante_w.field.fields import ModelSpec
+from dante_w.estimate.pace import Pace, Texture, measure, take
+from dante_w.field.fields import FieldSpec
 from dante_w.field.hash_encoding import GridSpec
-from dante_w.field.optimise import LossTerms
-from dante_w.field.presets import PRESETS
+from dante_w.field.optimise import Schedule
+from dante_w.field.pipeline import FieldRun
+from dante_w.field.settings import FieldSettings
+from dante_w.field.terms import LossTerms
+from dante_w.presets import PRESETS
 from dante_w.rays.scene3d import Scene3D
 from dante_w.scene.load import load_scene
 
@@ -31,12 +34,21 @@ PACE = Pace(
     photo_step=0.01,
     render=1e-6,
 )
-WORK = Work(photos=40, pixels=40 << 18, texels=1 << 22, held_out_pixels=5 << 18, steps=500, final_steps=125)
-SPEC = ModelSpec(GridSpec(2, 6, 2, 4, 64, 12), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4)
+WORK = Work(
+    photos=40,
+    pixels=40 << 18,
+    texels=1 << 22,
+    held_out_pixels=5 << 18,
+    held_out_steps=100,
+    steps=500,
+    final_steps=125,
+)
+SPEC = FieldSpec(GridSpec(2, 6, 2, 4, 64, 12), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4)
 
 
-def fitting(**terms: float) -> Fitting:
-    return Fitting(SPEC, LossTerms(**terms), 512, torch.device("cpu"))
+def field_run(**terms: float) -> FieldRun:
+    settings = FieldSettings(SPEC, Schedule(500, 512), Schedule(125, 512))
+    return FieldRun(settings, LossTerms(**terms), np.arange(5), torch.device("cpu"), 0, True)
 
 
 def test_every_stage_of_work_has_its_seconds():
@@ -74,7 +86,7 @@ def test_one_photo_of_one_pixel_to_one_texel():
 @pytest.mark.parametrize(("photos", "side"), [(1, 1), (6, 32)])
 def test_every_pace_is_measured(tmp_path, photos, side, kind):
     scene, mesh = load_scene(make_scene(tmp_path / "scene", photos))
-    pace = measure(take(scene.frames, Scene3D.build(mesh)), mesh, Texture(side, kind), tmp_path, fitting())
+    pace = measure(take(scene.frames, Scene3D.build(mesh)), mesh, Texture(side, kind), tmp_path, field_run())
     values = dataclasses.asdict(pace)
     assert all(math.isfinite(value) and value > 0.0 for value in values.values()), values
     assert pace.foreground == 1.0
@@ -88,7 +100,7 @@ def test_measuring_draws_no_random_numbers_of_the_run(tmp_path):
     torch.manual_seed(3)
     np.random.seed(3)
     before = torch.get_rng_state(), np.random.get_state()[1].tolist()
-    measure(take(scene.frames, Scene3D.build(mesh)), mesh, Texture(16, np.uint8), tmp_path, fitting())
+    measure(take(scene.frames, Scene3D.build(mesh)), mesh, Texture(16, np.uint8), tmp_path, field_run())
     assert torch.equal(before[0], torch.get_rng_state())
     assert before[1] == np.random.get_state()[1].tolist()
 
@@ -98,7 +110,7 @@ def test_photos_beside_the_mesh_are_left_to_the_run_to_refuse(tmp_path):
     scene, mesh = load_scene(folder)
     aside = dataclasses.replace(mesh, vertices=mesh.vertices + 90.0)
     pace = measure(
-        take(scene.frames, Scene3D.build(aside)), aside, Texture(16, np.uint8), tmp_path, fitting()
+        take(scene.frames, Scene3D.build(aside)), aside, Texture(16, np.uint8), tmp_path, field_run()
     )
     assert pace.step > 0.0
 
@@ -106,7 +118,7 @@ def test_photos_beside_the_mesh_are_left_to_the_run_to_refuse(tmp_path):
 def test_priors_are_part_of_the_steps(tmp_path):
     scene, mesh = load_scene(make_scene(tmp_path / "scene", 2))
     frames = [dataclasses.replace(frame, albedo=frame.image) for frame in scene.frames]
-    only_priors = fitting(photometric=False, prior_weight=1.0)
+    only_priors = field_run(photometric=False, prior_weight=1.0)
     assert (
         measure(take(frames, Scene3D.build(mesh)), mesh, Texture(16, np.uint8), tmp_path, only_priors).step
         > 0.0

@@ -5,20 +5,20 @@ import numpy as np
 import pytest
 import torch
 from dante_w.core.color import linear_from_srgb, srgb_from_linear
-from dante_w.field import batches as module
-from dante_w.field.batches import BLOCK, RUN, batches, blocks
-from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.batches import DRAWING, DrawingSettings, batches, blocks
+from dante_w.field.fields import FieldModel, FieldSpec
 from dante_w.field.hash_encoding import GridSpec
-from dante_w.field.held_out import _bands
-from dante_w.field.optimise import FINAL_RATE, LossTerms, Schedule, cosine, fit, model_loss
-from dante_w.field.presets import PRESETS, equal_bands
+from dante_w.field.held_out import halves
+from dante_w.field.loss import model_loss
+from dante_w.field.optimise import Problem, Schedule, fit
+from dante_w.field.terms import LossTerms
 from dante_w.rays.finest_footprint import no_footprints, note_finest
 from dante_w.rays.ray_cache import RayCache, Samples, Surface
 from dante_w.scene.held_out import choose_held_out
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-SPEC = ModelSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 8, 10), hidden=16, embedding=3)
+SPEC = FieldSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 8, 10), hidden=16, embedding=3)
 
 
 def some_samples(prior: bool, count: int = 64) -> Samples:
@@ -33,12 +33,12 @@ def some_samples(prior: bool, count: int = 64) -> Samples:
 
 def test_the_loss_is_equations_6_and_7():
     torch.manual_seed(0)
-    model, samples = Model(SPEC, 3), some_samples(prior=True)
+    model, samples = FieldModel(SPEC, 3), some_samples(prior=True)
     albedo = model.albedo(samples.uv)
     colour = model.expose(albedo * model.light(samples.position, samples.photo), samples.photo)
     photometric = (srgb_from_linear(colour) - samples.colour).abs().mean()
-    colour, trust = samples.prior.split([3, 1], dim=1)
-    prior = (trust * (albedo - linear_from_srgb(colour)).abs()).mean()
+    colour, confidence = samples.prior.split([3, 1], dim=1)
+    prior = (confidence * (albedo - linear_from_srgb(colour)).abs()).mean()
     torch.testing.assert_close(model_loss(model, samples, LossTerms(True, 0.3)), photometric + 0.3 * prior)
     torch.testing.assert_close(model_loss(model, samples, LossTerms(False, 1.0)), prior)
     torch.testing.assert_close(model_loss(model, samples, LossTerms(True, 0.0)), photometric)
@@ -46,7 +46,7 @@ def test_the_loss_is_equations_6_and_7():
 
 def test_tinted_light_and_offsets_cost_what_the_terms_say():
     torch.manual_seed(0)
-    model, samples = Model(SPEC, 3), some_samples(prior=False)
+    model, samples = FieldModel(SPEC, 3), some_samples(prior=False)
     torch.nn.init.normal_(model.offset)
     plain = model_loss(model, samples, LossTerms())
     offset = model_loss(model, samples, LossTerms(small_offset=0.5)) - plain
@@ -67,21 +67,21 @@ def test_tinted_light_and_offsets_cost_what_the_terms_say():
 
 
 def test_photos_without_a_prior_add_nothing_to_the_prior_term():
-    model, samples = Model(SPEC, 3), some_samples(prior=True)
+    model, samples = FieldModel(SPEC, 3), some_samples(prior=True)
     samples.prior[samples.photo == 1] = torch.nan
     loss = model_loss(model, samples, LossTerms())
     gradients = torch.autograd.grad(loss, list(model.parameters()))
     assert torch.isfinite(loss) and all(torch.isfinite(g).all() for g in gradients)
     kept = samples.photo != 1
     albedo = model.albedo(samples.uv[kept])
-    colour, trust = samples.prior[kept].split([3, 1], dim=1)
-    expected = (trust * (albedo - linear_from_srgb(colour)).abs()).sum() / (3 * len(samples.prior))
+    colour, confidence = samples.prior[kept].split([3, 1], dim=1)
+    expected = (confidence * (albedo - linear_from_srgb(colour)).abs()).sum() / (3 * len(samples.prior))
     torch.testing.assert_close(model_loss(model, samples, LossTerms(photometric=False)), expected)
 
 
 def test_the_loss_agrees_with_float64():
     torch.manual_seed(0)
-    model, samples = Model(SPEC, 3), some_samples(prior=True)
+    model, samples = FieldModel(SPEC, 3), some_samples(prior=True)
     single = model_loss(model, samples, LossTerms())
     gradients = torch.autograd.grad(single, list(model.parameters()))
     double_samples = Samples(
@@ -96,7 +96,7 @@ def test_the_loss_agrees_with_float64():
 
 
 def test_without_the_photometric_term_light_is_left_alone():
-    model = Model(SPEC, 3)
+    model = FieldModel(SPEC, 3)
     loss = model_loss(model, some_samples(prior=True), LossTerms(photometric=False))
     gradients = torch.autograd.grad(loss, list(model.irradiance.parameters()), allow_unused=True)
     assert all(gradient is None for gradient in gradients)
@@ -108,25 +108,26 @@ def test_batches_draw_the_samples_of_the_ranges_equally_and_no_other(lengths, se
     starts = np.cumsum([7, *(length + 3 for length in lengths[:-1])])
     ranges = np.stack([starts, starts + lengths], axis=1)
     allowed = np.concatenate([np.arange(a, b) for a, b in ranges])
-    draws = batches(ranges, 4096 * RUN, seed)
+    draws = batches(ranges, 4096 * DRAWING.run, seed)
     drawn = np.concatenate([next(draws) for _ in range(30)])
     assert np.isin(drawn, allowed).all()
     counts = np.bincount(drawn, minlength=ranges.max())[allowed]
-    # a run counts up to RUN times at once, so the spread is that of RUN times fewer draws
+    # a run counts up to its length at once, so the spread is that of so many times fewer draws
     mean = len(drawn) / len(allowed)
-    assert abs(counts - mean).max() < 6 * np.sqrt(RUN * mean) + RUN
+    assert abs(counts - mean).max() < 6 * np.sqrt(DRAWING.run * mean) + DRAWING.run
 
 
-def test_of_more_samples_than_the_pool_blocks_take_turns(monkeypatch):
-    ranges = np.array([[5, 5 + 10 * BLOCK + 7], [20 * BLOCK, 26 * BLOCK]])
+def test_of_more_samples_than_the_pool_blocks_take_turns():
+    block = DRAWING.block
+    ranges = np.array([[5, 5 + 10 * block + 7], [20 * block, 26 * block]])
     count = (ranges[:, 1] - ranges[:, 0]).sum()
-    cut = blocks(ranges)
+    cut = blocks(ranges, block)
     pieces = np.concatenate([np.arange(a, b) for a, b in cut])
     np.testing.assert_array_equal(pieces, np.concatenate([np.arange(a, b) for a, b in ranges]))
-    assert (cut[:, 1] - cut[:, 0]).max() == BLOCK and len(cut) == 17
+    assert (cut[:, 1] - cut[:, 0]).max() == block and len(cut) == 17
 
-    monkeypatch.setattr(module, "POOL", 4 * BLOCK)
-    draws = batches(ranges, BLOCK, 0)
+    small = DrawingSettings(pool=4 * block)
+    draws = batches(ranges, block, 0, settings=small)
     parts = [np.unique(np.searchsorted(cut[:, 1], next(draws), side="right")) for _ in range(340)]
     assert max(map(len, parts)) == 4  # few blocks at a time ...
     kept = np.mean([len(np.intersect1d(*pair)) for pair in pairwise(parts)])
@@ -137,21 +138,22 @@ def test_of_more_samples_than_the_pool_blocks_take_turns(monkeypatch):
     mean = len(parts) * 4 / 17
     assert 0.9 * mean < counts.min() and counts.max() < 1.1 * mean
 
-    monkeypatch.setattr(module, "POOL", int(count))
-    whole = batches(ranges, 4096 * RUN, 0)
+    large = DrawingSettings(pool=int(count))
+    whole = batches(ranges, 4096 * DRAWING.run, 0, settings=large)
     drawn = np.concatenate([next(whole) for _ in range(3)])
     assert len(np.unique(drawn)) > 0.9 * count
-    for pool in (4 * BLOCK, int(count)):
-        monkeypatch.setattr(module, "POOL", pool)
-        later, first = batches(ranges, 512, 3, behind=2), batches(ranges, 512, 3)
+    for drawing in (small, large):
+        later = batches(ranges, 512, 3, skipped=2, settings=drawing)
+        first = batches(ranges, 512, 3, settings=drawing)
         next(first), next(first)
         np.testing.assert_array_equal(next(later), next(first))
 
 
 def test_the_learning_rate_falls_along_a_cosine():
-    assert cosine(0, 100) == 1.0
-    assert cosine(50, 100) == pytest.approx((1 + FINAL_RATE) / 2)
-    assert cosine(100, 100) == pytest.approx(FINAL_RATE)
+    schedule = Schedule(100, 1, final_rate=0.1)
+    assert schedule.rate(0) == 1.0
+    assert schedule.rate(50) == pytest.approx(0.55)
+    assert schedule.rate(100) == pytest.approx(0.1)
 
 
 @given(st.integers(1, 3000))
@@ -164,15 +166,9 @@ def test_one_photo_in_eight_is_held_out(photos):
 
 @given(st.integers(1, 10_000))
 def test_the_halves_of_a_held_out_photo_do_not_overlap(length):
-    fitted, scored = _bands(np.array([[5, 5 + length]]))
+    fitted, scored = halves(np.array([[5, 5 + length]]), 32)
     parts = [np.arange(a, b) for a, b in np.concatenate([fitted, scored])]
     np.testing.assert_array_equal(np.sort(np.concatenate(parts)), np.arange(5, 5 + length))
-
-
-def test_equal_bands_closes_the_frequency_gap():
-    for preset in PRESETS.values():
-        assert preset.model.irradiance.finest * 4 <= preset.model.albedo.finest
-        assert equal_bands(preset.model).irradiance.finest == preset.model.albedo.finest
 
 
 #: Texels a side of a texture whose detail is two texels wide, and the texels that a pixel from afar covers.
@@ -222,10 +218,11 @@ def two_distances(near: int, far: int) -> tuple[RayCache, np.ndarray]:
 def left_and_right_error(albedo: GridSpec, cache: RayCache, texture: np.ndarray) -> np.ndarray:
     """PSNR in dB of the albedo fitted to the priors alone, in either half of the texture."""
     torch.manual_seed(0)
-    model = Model(ModelSpec(albedo, GridSpec(3, 1, 2, 2, 2, 8), hidden=16, embedding=2), 1)
+    model = FieldModel(FieldSpec(albedo, GridSpec(3, 1, 2, 2, 2, 8), hidden=16, embedding=2), 1)
     everything = np.array([[0, len(cache)]])
     schedule = Schedule(200, 2048, 1e-2)
-    fit(model, cache, everything, LossTerms(photometric=False), schedule, 0, lambda *_: None)
+    problem = Problem(model, cache, everything, LossTerms(photometric=False))
+    fit(problem, schedule, 0, lambda *_: None)
     centre = (np.arange(SIDE) + 0.5) / SIDE
     uv = torch.from_numpy(np.stack(np.meshgrid(centre, centre), axis=-1)).float().reshape(-1, 2)
     with torch.no_grad():

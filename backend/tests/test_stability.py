@@ -13,23 +13,28 @@ from dante_w.commands.cli import main
 from dante_w.contract.errors import BadInput
 from dante_w.contract.scene_folder import read_scene
 from dante_w.core.color import linear_from_srgb, srgb_from_linear
-from dante_w.field import divergence
 from dante_w.field.cpu.kernels.functions import srgb_from_linear as kernel_srgb
-from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.cpu.step import CpuStep
+from dante_w.field.divergence import FitResult
+from dante_w.field.fields import FieldModel, FieldSpec
 from dante_w.field.hash_encoding import GridSpec, HashGrid, encode_reference
-from dante_w.field.optimise import FusedStep, LossTerms, Schedule, TorchStep, fit, model_loss
-from dante_w.field.presets import Preset as FieldSettings
+from dante_w.field.loss import model_loss
+from dante_w.field.optimise import Problem, Schedule, fit
+from dante_w.field.settings import FieldSettings
+from dante_w.field.step import TorchStep
+from dante_w.field.terms import LossTerms
 from dante_w.presets import Preset
 from dante_w.rays.radiance_levels import RADIANCE, into_range
 from dante_w.rays.ray_cache import Samples
 from dante_w.rays.raycast import Frame3D, Raycaster
+from dante_w.run.setbacks import MOST
 from dante_w.scene.images import read_photo, read_texture, write_exr
 from dante_w.scene.mesh import Mesh
 from dante_w.traced.shading_points import ShadingPoints, gather
 from small_settings import TRACED
 
-SPEC = ModelSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 8), hidden=16, embedding=2)
-FIELD = FieldSettings(64, SPEC, Schedule(100, 1024, 1e-2), Schedule(20, 1024, 2e-3))
+SPEC = FieldSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 8), hidden=16, embedding=2)
+FIELD = FieldSettings(SPEC, Schedule(100, 1024, 1e-2), Schedule(20, 1024, 2e-3))
 SMALL = Preset("standard", 64, TRACED, FIELD)
 
 
@@ -70,14 +75,13 @@ class Cache:
         return Samples(*(None if column is None else column[index] for column in fields))
 
 
-def fitted(rate: float, steps: int = 200) -> tuple[Model, divergence.Course]:
+def fitted(rate: float, steps: int = 200) -> tuple[FieldModel, FitResult]:
     torch.manual_seed(0)
-    model = Model(SPEC, 3)
+    model = FieldModel(SPEC, 3)
     cache = Cache()
-    course = fit(
-        model, cache, np.array([[0, 4096]]), LossTerms(), Schedule(steps, 512, rate), 0, lambda *_: None
-    )
-    return model, course
+    problem = Problem(model, cache, np.array([[0, 4096]]), LossTerms())
+    result = fit(problem, Schedule(steps, 512, rate), 0, lambda *_: None)
+    return model, result
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -102,9 +106,9 @@ def test_the_kernels_transfer_has_no_step_where_its_pieces_meet():
     assert np.diff(values).min() > -1e-8
 
 
-@pytest.mark.parametrize("kind", [TorchStep, FusedStep])
+@pytest.mark.parametrize("kind", [TorchStep, CpuStep])
 def test_a_batch_that_weighs_nothing_has_a_loss_and_moves_nothing(kind):
-    model = Model(SPEC, 3)
+    model = FieldModel(SPEC, 3)
     before = [parameter.detach().clone() for parameter in model.parameters()]
     terms = LossTerms(white_light=0.05, small_offset=0.2)
     assert float(model_loss(model, samples(weight=0.0), terms).detach()) == 0.0
@@ -127,31 +131,31 @@ def test_tables_in_halves_lose_values_but_not_places(dtype):
 
 
 def test_a_sound_fit_is_left_alone():
-    _, course = fitted(1e-2)
-    assert course.setbacks == [] and course.last < 0.9 * course.first
+    _, result = fitted(1e-2)
+    assert result.setbacks == [] and result.last_loss < 0.9 * result.first_loss
 
 
 @pytest.mark.parametrize("rate", [30.0, 1e6])
 def test_a_fit_that_diverges_is_taken_back_and_ends_as_well(rate):
-    model, course = fitted(rate)
-    assert course.setbacks and course.setbacks[-1].rate < 1.0
-    assert course.last < 1.1 * fitted(1e-2)[1].last
+    model, result = fitted(rate)
+    assert result.setbacks and result.setbacks[-1].rate < 1.0
+    assert result.last_loss < 1.1 * fitted(1e-2)[1].last_loss
     assert all(torch.isfinite(parameter).all() for parameter in model.parameters())
 
 
 def test_a_fit_that_cannot_be_saved_ends_where_it_began():
-    model, course = fitted(float("inf"))
+    model, result = fitted(float("inf"))
     torch.manual_seed(0)
-    assert len(course.setbacks) == divergence.MOST
-    fresh = Model(SPEC, 3)
+    assert len(result.setbacks) == MOST
+    fresh = FieldModel(SPEC, 3)
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), fresh.parameters(), strict=True))
 
 
-def test_a_fit_that_tells_nothing_is_no_success(scene, tmp_path, capsys):
+def test_a_fit_that_explains_nothing_is_no_success(scene, tmp_path, capsys):
     command = ["recover", str(scene), "--out", str(tmp_path / "out"), "--irradiance", "field", "--json"]
     code = main(command, settings=with_rate(0.0))
     last = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert code == 1 and "told nothing" in last["message"] and "\n" not in last["message"]
+    assert code == 1 and "explained nothing" in last["message"] and "\n" not in last["message"]
     assert not (tmp_path / "out").exists()
 
 

@@ -8,14 +8,15 @@ import numpy as np
 import torch
 from dante_w.core.color import linear_from_srgb, srgb_from_linear
 from dante_w.field.batches import batches
-from dante_w.field.cpu import step as fused
 from dante_w.field.cpu.kernels.functions import linear_from_srgb as kernel_linear
 from dante_w.field.cpu.kernels.functions import srgb_from_linear as kernel_srgb
-from dante_w.field.cpu.step import FusedStep
-from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.cpu.step import CpuStep, decode_points
+from dante_w.field.fields import FieldModel, FieldSpec
 from dante_w.field.hash_encoding import GridSpec, HashGrid, encode_reference
-from dante_w.field.optimise import LossTerms, Schedule, TorchStep, fit, model_loss
-from dante_w.field.presets import SMALL_OFFSET, WHITE_LIGHT
+from dante_w.field.loss import model_loss
+from dante_w.field.optimise import Problem, Schedule, fit
+from dante_w.field.settings import STANDARD
+from dante_w.field.step import TorchStep
 from measure.synthetic_scene import SphereSamples
 from torch import nn
 
@@ -23,12 +24,12 @@ from extremes.row import Row
 
 FAMILY = "encodings and number types"
 #: The presets' shape with fewer and smaller tables: plain torch writes every table once per corner.
-SPEC = ModelSpec(
+SPEC = FieldSpec(
     albedo=GridSpec(2, levels=8, features=2, coarsest=16, finest=512, log2_table=13),
     irradiance=GridSpec(3, levels=4, features=2, coarsest=4, finest=16, log2_table=12),
     hidden=32,
 )
-TERMS = LossTerms(white_light=WHITE_LIGHT, small_offset=SMALL_OFFSET)
+TERMS = STANDARD.terms(prior_weight=1.0, priors=False)
 PHOTOS, SAMPLES_PER_PHOTO, BATCH = 8, 8192, 4096
 #: Steps of the fit at whose end a step in float32 is held against one in float64, and how far they may be apart.
 FITTED_STEPS, STEP_BOUND = 20, 1e-5
@@ -60,7 +61,7 @@ def grid_row(dimensions: int, finest: int, log2_table: int) -> Row:
         dimensions, 4, FEATURES, 15, finest, log2_table
     )  # no powers of two: these round to nothing
     grid, points, exact = _problem(spec)
-    found = fused.decoded(grid, _level_sum(spec), points, None).double().numpy()
+    found = decode_points(grid, _level_sum(spec), points, None).double().numpy()
     upstream = torch.linspace(-1.0, 1.0, exact.numel(), dtype=torch.float64).reshape(exact.shape)
     table = grid.tables.detach().double().requires_grad_()
     (wanted,) = torch.autograd.grad(
@@ -103,17 +104,18 @@ def step_rows() -> Iterator[Row]:
     """Loss and gradients of one step in float32 against float64, at a model that float64 has fitted."""
     torch.manual_seed(0)
     fitted, exact_samples = (
-        Model(SPEC, PHOTOS).double(),
+        FieldModel(SPEC, PHOTOS).double(),
         SphereSamples(PHOTOS, SAMPLES_PER_PHOTO, torch.float64),
     )
     schedule = Schedule(FITTED_STEPS, BATCH, learning_rate=1e-2)
-    fit(fitted, exact_samples, exact_samples.ranges, TERMS, schedule, 3, lambda *_: None)  # type: ignore[arg-type]
+    problem = Problem(fitted, exact_samples, exact_samples.ranges, TERMS)  # type: ignore[arg-type]
+    fit(problem, schedule, 3, lambda *_: None)
     index = next(batches(exact_samples.ranges, BATCH, seed=2))
     exact_loss, exact = _gradients(TorchStep, fitted, exact_samples, index)
     samples = SphereSamples(PHOTOS, SAMPLES_PER_PHOTO, torch.float32)
-    single = Model(SPEC, PHOTOS)
+    single = FieldModel(SPEC, PHOTOS)
     single.load_state_dict(fitted.state_dict())
-    for name, kind in (("float32, torch", TorchStep), ("float32, numba", FusedStep)):
+    for name, kind in (("float32, torch", TorchStep), ("float32, numba", CpuStep)):
         loss, gradients = _gradients(kind, single, samples, index)
         error = abs(loss - exact_loss) / exact_loss
         worst = max(float((gradients[group] - exact[group]).norm() / exact[group].norm()) for group in exact)
@@ -127,7 +129,7 @@ def step_rows() -> Iterator[Row]:
 
 
 def _gradients(
-    kind: type[TorchStep | FusedStep], model: Model, source: SphereSamples, index: np.ndarray
+    kind: type[TorchStep | CpuStep], model: FieldModel, source: SphereSamples, index: np.ndarray
 ) -> tuple[float, dict[str, torch.Tensor]]:
     """Loss of a batch, and its gradients of tables, decoders and photos, each flat in float64."""
     samples = source.samples(index, torch.device("cpu"))
@@ -168,10 +170,10 @@ def loss_row() -> Row:
         samples.photo, samples.uv, samples.position, samples.colour, None, torch.zeros(512)
     )
     torch.manual_seed(0)
-    model = Model(SPEC, PHOTOS)
+    model = FieldModel(SPEC, PHOTOS)
     worst = abs(float(model_loss(model, weightless, TERMS).detach()))
     before = [parameter.detach().clone() for parameter in model.parameters()]
-    for kind in (TorchStep, FusedStep):
+    for kind in (TorchStep, CpuStep):
         step = kind(model, TERMS, list(model.parameters()), 1e-2)
         loss, gradients = step.gradients(weightless)
         worst = max(

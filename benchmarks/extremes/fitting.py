@@ -29,7 +29,7 @@ def rows(progress: Callable[[str], None]) -> Iterator[Row]:
     own = unspoilt("field")
     progress("learning rate 0")
     still = scheduled(replace(TINY.field.schedule, learning_rate=0.0))
-    yield refused(FAMILY, "learning rate 0", tried(base, *FIELD, preset=still), "told nothing", code=1)
+    yield refused(FAMILY, "learning rate 0", tried(base, *FIELD, preset=still), "explained nothing", code=1)
     for rate in (1.0, 1e3, 1e6, np.inf):
         progress(f"learning rate {rate:g}")
         wild = scheduled(replace(TINY.field.schedule, learning_rate=rate))

@@ -21,11 +21,11 @@ from unittest import mock
 import numpy as np
 from dante_w.commands import cli
 from dante_w.contract.scene_folder import Camera, Frame, Scene, write_scene
-from dante_w.field import presets
-from dante_w.field.cpu.step import FusedStep
-from dante_w.field.fields import ModelSpec
+from dante_w.field.cpu.step import CpuStep
+from dante_w.field.fields import FieldSpec
 from dante_w.field.hash_encoding import GridSpec
 from dante_w.field.optimise import Schedule
+from dante_w.field.settings import FieldSettings
 from dante_w.presets import PRESETS, Preset
 from dante_w.rays.raycast import Frame3D, Raycaster
 from dante_w.scene.cameras import directions
@@ -40,17 +40,16 @@ MIDDLE = np.array([0.5, 0.5, 0.0])
 TEXTURE = 128
 TRACED: tuple[str, ...] = ("--irradiance", "traced")
 FIELD: tuple[str, ...] = ("--irradiance", "field")
-_GRADIENTS, _SOLVE, _TEXTURE = FusedStep.gradients, solve.solve_lights, solve.albedo_texture
+_GRADIENTS, _SOLVE, _TEXTURE = CpuStep.gradients, solve.solve_lights, solve.albedo_texture
 #: The paper's model with little to fit and few steps.
 TINY = replace(
     PRESETS["draft"],
-    field=presets.Preset(
-        TEXTURE,
-        ModelSpec(GridSpec(2, 8, 2, 4, 128, 14), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4),
+    field=FieldSettings(
+        FieldSpec(GridSpec(2, 8, 2, 4, 128, 14), GridSpec(3, 2, 2, 2, 4, 10), hidden=16, embedding=4),
         Schedule(300, 4096, 1e-2),
         Schedule(60, 4096, 2e-3),
-        presets.WHITE_LIGHT,
-        presets.SMALL_OFFSET,
+        white_light=0.05,
+        small_offset=0.2,
     ),
 )
 
@@ -210,7 +209,7 @@ def _watched() -> Iterator[dict[str, None]]:
             if not bool(np.isfinite(np.asarray(value)).all()):
                 found[name] = None
 
-    def gradients(self: FusedStep, samples: Any) -> Any:
+    def gradients(self: CpuStep, samples: Any) -> Any:
         loss, by_name = _GRADIENTS(self, samples)
         look("loss", loss)
         for name, gradient in by_name.items():
@@ -228,7 +227,7 @@ def _watched() -> Iterator[dict[str, None]]:
         return made
 
     with contextlib.ExitStack() as patches:
-        patches.enter_context(mock.patch.object(FusedStep, "gradients", gradients))
+        patches.enter_context(mock.patch.object(CpuStep, "gradients", gradients))
         patches.enter_context(mock.patch.object(solve, "solve_lights", solved))
         patches.enter_context(mock.patch.object(solve, "albedo_texture", texture))
         yield found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from functools import partial
 
@@ -11,27 +10,22 @@ import numpy as np
 import pytest
 import speed
 import torch
-from dante_w.field import presets
-from dante_w.field.cpu.step import FusedStep
-from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.cpu.step import CpuStep
+from dante_w.field.fields import FieldModel, FieldSpec
 from dante_w.field.hash_encoding import GridSpec
-from dante_w.field.optimise import TorchStep
+from dante_w.field.optimise import Schedule
+from dante_w.field.settings import FieldSettings
+from dante_w.field.step import TorchStep
+from dante_w.presets import Preset
 from measure.turns import median_seconds
 
-SPEC = ModelSpec(GridSpec(2, 3, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 10), hidden=8, embedding=2)
+SPEC = FieldSpec(GridSpec(2, 3, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 10), hidden=8, embedding=2)
+FIELD = FieldSettings(SPEC, Schedule(10, 300), Schedule(2, 300))
+SMALL = {"standard": Preset("standard", 64, None, FIELD)}
 
 
-@pytest.fixture(autouse=True)
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    preset = presets.Preset(64, SPEC, presets.Schedule(10, 300), presets.Schedule(2, 300))
-    monkeypatch.setitem(presets.PRESETS, "standard", preset)
-
-
-def test_the_last_line_has_every_figure(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["speed", "--rounds", "2", "--json"])
-    speed.main()
+def test_the_last_line_has_every_figure(capsys: pytest.CaptureFixture) -> None:
+    speed.main(["--rounds", "2", "--json"], SMALL)
     out = capsys.readouterr().out
     found = json.loads(out.splitlines()[-1])
     rates = found["samples_per_second"]
@@ -43,9 +37,9 @@ def test_the_last_line_has_every_figure(
 
 def test_both_paths_compute_the_same_step() -> None:
     torch.manual_seed(0)
-    model, samples = Model(SPEC, speed.PHOTOS), speed.batch_of(300)
+    model, samples = FieldModel(SPEC, speed.PHOTOS), speed.batch_of(300)
     parameters = list(model.parameters())
-    ways = (way(model, speed.TERMS, parameters, 1e-3) for way in (TorchStep, FusedStep))
+    ways = (way(model, speed.TERMS, parameters, 1e-3) for way in (TorchStep, CpuStep))
     (slow_loss, slow), (fast_loss, fast) = (way.gradients(samples) for way in ways)
     assert float(slow_loss) == pytest.approx(fast_loss, rel=1e-5)
     assert slow.keys() == fast.keys()
@@ -68,11 +62,8 @@ def test_works_take_turns_and_the_median_counts(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_without_a_gpu_cuda_is_said_not_to_run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["speed", "--device", "cuda", "--json"])
-    speed.main()
+def test_without_a_gpu_cuda_is_said_not_to_run(capsys: pytest.CaptureFixture) -> None:
+    speed.main(["--device", "cuda", "--json"])
     out = capsys.readouterr().out
     found = json.loads(out.splitlines()[-1])
     assert "could not be run here" in out

@@ -92,8 +92,10 @@ def test_the_command_runs_what_the_changes_say(scene, tmp_path):
     done = subprocess.run([str(part) for part in command], capture_output=True, encoding="utf-8")
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "report.json").read_text())
-    wanted = dataclasses.asdict(altered(PRESETS["draft"], changes).field)
-    for preset in (wanted, report["preset"]):  # these follow the photos, see `sized`
+    settings = altered(PRESETS["draft"], changes)
+    fields = {"texture_size": settings.texture_size, **dataclasses.asdict(settings.field)}
+    wanted = json.loads(json.dumps(fields))
+    for preset in (wanted, report["preset"]):  # these follow the photos, see `limit_resolution`
         del preset["model"]["albedo"]["levels"], preset["model"]["albedo"]["finest"]
     assert report["preset"] == wanted
     assert report["settings"]["preset"] == "draft" and report["texture_size"] == 64

@@ -11,7 +11,7 @@ import psutil
 import torch
 
 from dante_w import __version__
-from dante_w.field.cuda import grid as triton_grid
+from dante_w.field.cuda import grid as cuda_grid
 from dante_w.run.device import failure, pick_device
 
 PACKAGES = ("torch", "numpy", "numba", "OpenImageIO", "xatlas", "embreex", "pycolmap", "psutil")
@@ -32,7 +32,7 @@ def examine() -> dict[str, Any]:
     }
     if device.type == "cuda":
         free, total = torch.cuda.mem_get_info()
-        found["triton"] = triton_grid.failure() or "works"
+        found["triton"] = cuda_grid.failure() or "works"
         found.update(gpu_memory_gib=round(total / 2**30, 1), free_gpu_memory_gib=round(free / 2**30, 1))
     return found | library_versions()
 

@@ -9,7 +9,7 @@ import numpy as np
 from dante_w.contract.protocol import YOU_CHOSE, Decision
 from dante_w.contract.text import duration, gigabytes
 from dante_w.estimate.memory import TRANSFER
-from dante_w.field.fields import ModelSpec
+from dante_w.field.fields import FieldSpec
 from dante_w.rays.footprint import sharp_footprint
 from dante_w.rays.ray_cache import sample_bytes
 
@@ -87,7 +87,7 @@ def samples(count: int, pixels: int, prior: bool) -> Decision:
     )
 
 
-def representation(spec: ModelSpec) -> Decision:
+def representation(spec: FieldSpec) -> Decision:
     """What the paper's model keeps its albedo in."""
     grid = spec.albedo
     return Decision(

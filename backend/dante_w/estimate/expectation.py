@@ -17,7 +17,6 @@ import psutil
 from dante_w.contract.protocol import Expected, Quality
 from dante_w.contract.text import duration
 from dante_w.estimate.pace import Pace
-from dante_w.field.held_out import SCHEDULE
 
 #: Of traced light and of the paper's field, without priors, on four objects: `python3 dev.py bench gigalit DIR`. None: not
 #: measured.
@@ -45,6 +44,7 @@ class Work:
     pixels: int
     texels: int
     held_out_pixels: int = 0
+    held_out_steps: int = 0
     steps: int = 0
     final_steps: int = 0
 
@@ -91,7 +91,7 @@ def predict(pace: Pace, work: Work) -> dict[str, float]:
     held_out = 0.0
     if work.held_out_pixels:
         half = 0.5 * pace.foreground * work.held_out_pixels  # the other half is fitted to
-        held_out = SCHEDULE.steps * pace.photo_step + half * pace.render
+        held_out = work.held_out_steps * pace.photo_step + half * pace.render
     seconds = {
         "rays": rays,
         "optimise": work.steps * pace.step,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import psutil
 
-from dante_w.field.fields import ModelSpec
+from dante_w.field.fields import FieldSpec
 from dante_w.rays.ray_cache import sample_bytes
 
 #: Bytes a texel of a texture that is averaged from photos: colours and weights on a pyramid, then two copies in float; and of one
@@ -54,7 +54,7 @@ def lights_bytes(observations: int, lights: int, directions: int, photos: int) -
     return OBSERVATION * observations + ENTRY * (3 * lights * directions + photos + 1) ** 2
 
 
-def fit_bytes(spec: ModelSpec) -> int:
+def fit_bytes(spec: FieldSpec) -> int:
     """Fitting the paper's model, whose decoders are small beside its grids."""
     grids = (spec.albedo, spec.irradiance)
     return PARAMETER * sum(sum(grid.entries) * grid.features for grid in grids)

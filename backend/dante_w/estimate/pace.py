@@ -18,10 +18,10 @@ import numpy as np
 import torch
 
 from dante_w.contract.scene_folder import Frame
-from dante_w.field.fields import Model, ModelSpec
-from dante_w.field.held_out import SCHEDULE
-from dante_w.field.optimise import LossTerms, Schedule, fit, psnr
-from dante_w.field.presets import sized
+from dante_w.field.fields import FieldModel
+from dante_w.field.inference import psnr
+from dante_w.field.optimise import Problem, Schedule, fit
+from dante_w.field.pipeline import FieldRun, albedo_lookup
 from dante_w.rays.cast_photos import footprints, surface
 from dante_w.rays.ray_cache import RayCache, Surface
 from dante_w.rays.raycast import Raycaster
@@ -50,16 +50,6 @@ SIDE, WARM_SIDE = 512, 64
 HIT_WORK = 0.5
 #: Noise on the linear texture that is written: as long to compress as the albedo of the five shared scenes.
 GRAIN = 0.02
-
-
-@dataclass(frozen=True)
-class Fitting:
-    """What is fitted, how, and where."""
-
-    spec: ModelSpec
-    terms: LossTerms
-    batch: int
-    device: torch.device
 
 
 @dataclass(frozen=True)
@@ -118,16 +108,14 @@ def take(frames: list[Frame], scene3d: Scene3D) -> Sample:
     return Sample(cache, scene3d.caster, reading / read, preparing, ray, foreground, hit)
 
 
-def measure(
-    sample: Sample, mesh: Mesh, texture: Texture, folder: Path, fitting: Fitting | None = None
-) -> Pace:
+def measure(sample: Sample, mesh: Mesh, texture: Texture, folder: Path, run: FieldRun | None = None) -> Pace:
     """Do a little of what follows and time it, in about a second once kernels are loaded.
 
     Args:
         folder: for a file, which is removed.
-        fitting: left out, the texture needs no fit.
+        run: of the paper's model; left out, the texture needs no fit.
     """
-    fit_seconds, texels = _fit(sample.cache, fitting, texture.side) if fitting else ((0.0, 0.0, 0.0), _grey)
+    fit_seconds, texels = _fit(sample.cache, run, texture.side) if run else ((0.0, 0.0, 0.0), _grey)
     small = replace(texture, side=min(texture.side, SIDE))
     return Pace(
         sample.read,
@@ -175,10 +163,11 @@ def _cast(
     return cache, seconds / max(cast, 1), hit
 
 
-def _fit(cache: RayCache, fitting: Fitting, texture_size: int) -> tuple[tuple[float, float, float], Texels]:
+def _fit(cache: RayCache, run: FieldRun, texture_size: int) -> tuple[tuple[float, float, float], Texels]:
     """Seconds of a step, of a step on held-out photos, and of rendering a sample; and the albedo of a new model."""
     with torch.random.fork_rng(devices=[]):  # the run's own random numbers stay as they are
-        model = Model(sized(fitting.spec, texture_size, cache), len(cache.starts) - 1).to(fitting.device)
+        spec = run.settings.spec_for(texture_size, cache)
+        model = FieldModel(spec, len(cache.starts) - 1).to(run.device)
     ranges = np.array([[0, len(cache)]])
     ends: list[float] = []
 
@@ -191,28 +180,18 @@ def _fit(cache: RayCache, fitting: Fitting, texture_size: int) -> tuple[tuple[fl
     def step_seconds(batch: int, parameters: list[torch.nn.Parameter] | None) -> float:
         ends.clear()
         with contextlib.suppress(_EnoughError):
-            fit(
-                model,
-                cache,
-                ranges,
-                fitting.terms,
-                Schedule(1 + STEPS, batch),
-                0,
-                step_done,
-                parameters,
-                shared=False,
-            )
+            problem = Problem(model, cache, ranges, run.terms, parameters)
+            fit(problem, Schedule(1 + STEPS, batch), 0, step_done, shared=False)
         return float(np.median(np.diff(ends)))
 
-    seconds = step_seconds(fitting.batch, None), step_seconds(SCHEDULE.batch, model.photo_parameters())
+    held_out = run.settings.held_out.schedule
+    seconds = (
+        step_seconds(run.settings.schedule.batch, None),
+        step_seconds(held_out.batch, model.photo_parameters()),
+    )
     rendered = np.arange(RENDERED) % len(cache)
     _, rendering = timed(lambda: psnr(model, cache, rendered))
-
-    @torch.no_grad()
-    def texels(uv: np.ndarray) -> np.ndarray:
-        return model.albedo(torch.from_numpy(uv).float().to(fitting.device)).cpu().numpy()
-
-    return (*seconds, rendering / RENDERED), texels
+    return (*seconds, rendering / RENDERED), albedo_lookup(model, torch.ones(3))
 
 
 class _EnoughError(Exception):

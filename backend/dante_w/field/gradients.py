@@ -1,4 +1,4 @@
-"""Gradients by parameter name that are made when they are asked for: a fit's step takes tables level by level instead."""
+"""Gradients by parameter name that are made when they are asked for: a step's update takes tables level by level instead."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ Array = TypeVar("Array")
 
 
 class Gradients(Mapping[str, Array], Generic[Array]):
-    """A mapping of what `made` returns for each name."""
+    """A mapping of what each function of `makers` returns."""
 
-    def __init__(self, made: Mapping[str, Callable[[], Array]]) -> None:
-        self._made = made
+    def __init__(self, makers: Mapping[str, Callable[[], Array]]) -> None:
+        self._makers = makers
 
     def __getitem__(self, name: str) -> Array:
-        return self._made[name]()
+        return self._makers[name]()
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._made)
+        return iter(self._makers)
 
     def __len__(self) -> int:
-        return len(self._made)
+        return len(self._makers)

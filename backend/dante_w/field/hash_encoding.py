@@ -4,7 +4,7 @@ A grid level of resolution N has (N + 1)^D vertices. While they fit the level's 
 finer levels share entries through a spatial hash. A point is encoded as the linearly interpolated features of
 its cell's corners, level after level.
 
-Here it is in plain torch, for any device and precision: the reference that `kernels.grid`, the CPU's, is held against.
+Here it is in plain torch, for any device and precision: the reference of `cpu.kernels.grid` and `cuda.kernels`.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ PRIMES = (1, 2654435761, 805459861)
 
 @dataclass(frozen=True)
 class GridSpec:
-    """Shape of an encoding.
+    """Size of an encoding."""
 
-    dimensions: of the points, 2 or 3.
-    levels: L; features: F per level.
-    coarsest, finest: resolutions of the first and last level; between them they grow by a constant factor b.
-    log2_table: a level has at most 2^log2_table entries.
-    """
-
+    #: D, of the points: 2 or 3.
     dimensions: int
+    #: L, the number of levels; their resolutions grow by a constant factor b.
     levels: int
+    #: F, numbers of a table entry.
     features: int
+    #: Cells along an axis on the first level.
     coarsest: int
+    #: Cells along an axis on the last level.
     finest: int
+    #: A level's table has at most 2^log2_table entries.
     log2_table: int
 
     @property

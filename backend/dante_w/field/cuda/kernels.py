@@ -1,4 +1,4 @@
-"""Grid encodings and Adam on CUDA, in Triton; see `hash_encoding` for the definition.
+"""Grid encodings and Adam on CUDA, in Triton; see `hash_encoding` for the definition. Experimental, see `cuda`.
 
 Import it only where `triton` is installed. With TRITON_INTERPRET=1 set before, the same kernels run on the CPU.
 """
@@ -74,11 +74,11 @@ def scatter_kernel(  # type: ignore[no-untyped-def]
     feature = tl.arange(0, width)
     known = (sample < count)[:, None] & (feature < features)[None, :]
     place = sample.to(tl.int64)[:, None] * columns + level * features + feature[None, :]
-    own = tl.load(upstream + place, known, 0.0)
+    slope = tl.load(upstream + place, known, 0.0)
     for corner in tl.static_range(1 << dimensions):
         entry, weight = _corner(points, levels, level, sample, count, corner, dimensions)
         place = entry.to(tl.int64)[:, None] * features + feature[None, :]
-        tl.atomic_add(gradient + start * features + place, weight[:, None] * own, known, sem="relaxed")
+        tl.atomic_add(gradient + start * features + place, weight[:, None] * slope, known, sem="relaxed")
 
 
 @triton.jit
@@ -123,7 +123,7 @@ def _corner(  # type: ignore[no-untyped-def]
 
 @triton.jit(do_not_specialize=["seed"])
 def adam_kernel(value, mean, square, gradient, count, rate, root, seed, block: tl.constexpr):  # type: ignore[no-untyped-def]
-    """One step of Adam on `count` numbers; `gradient` is 0 afterwards. As `kernels.adam`: a number whose gradient is exactly
+    """One step of Adam on `count` numbers; `gradient` is 0 afterwards. As `cpu.kernels.adam`: a number whose gradient is exactly
     0 stays as it is, moments and all.
 
     Args:

@@ -40,6 +40,7 @@ def adam(value, mean, square, gradient, rate, root):  # type: ignore[no-untyped-
 
 @njit_inlined
 def _move(value, mean, square, gradient, rate, root, i):  # type: ignore[no-untyped-def]
+    """The step on number `i`; arguments as of `adam`."""
     g, m, v = gradient[i], mean[i], square[i]
     touched = g != _ZERO
     m = BETA_1 * m + (_ONE - BETA_1) * g if touched else m

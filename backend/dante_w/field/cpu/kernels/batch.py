@@ -10,7 +10,7 @@ from dante_w.core.jit import njit_fast, njit_inlined
 from dante_w.field.cpu.kernels import BLOCK
 from dante_w.field.cpu.kernels.decoder import OUTPUTS, decode, decode_backward
 from dante_w.field.cpu.kernels.grid import encode, load
-from dante_w.field.cpu.kernels.loss import Shown, loss_backward
+from dante_w.field.cpu.kernels.loss import BlockSamples, loss_backward
 
 _ZERO = np.float32(0.0)
 
@@ -37,11 +37,12 @@ class Photos(NamedTuple):
 
 @njit_fast
 def evaluate(points, extra, grid, decoder, first, end, out):  # type: ignore[no-untyped-def]
-    """What the decoder makes of points `first` to `end`, into `out` (N, 3).
+    """Write the decoder's output for the points `first` to `end` into `out` (N, 3), before its activation.
 
     Args:
-        points: (N, D).
-        extra: (N, E), further inputs of the decoder.
+        points: (N, D) float32.
+        extra: (N, E) float32, further inputs of the decoder.
+        grid, decoder: Grid and Decoder.
     """
     dimensions, width = points.shape[1], len(grid.resolutions) * grid.tables.shape[1]
     block = np.empty((dimensions, BLOCK), np.float32)
@@ -69,7 +70,8 @@ def gradients(  # type: ignore[no-untyped-def]
     """Loss of samples `first` to `end`, multiples of BLOCK but for the last.
 
     Args:
-        albedo, light: Grids. weights: see `loss.Weights`.
+        batch, photos, weights: Batch, Photos and `loss.Weights`.
+        albedo, light: Grids, with their Decoders.
         rows: (blocks, R, BLOCK), to write: gradients with respect to each sample's encoded albedo, encoded light,
             embedding, w and b, in this order.
         d_albedo, d_light: the decoders' gradients, which are added to.
@@ -88,7 +90,7 @@ def gradients(  # type: ignore[no-untyped-def]
         np.zeros((OUTPUTS, BLOCK), np.float32),
         np.empty((3, BLOCK), np.float32),
     )
-    shown = Shown(
+    samples = BlockSamples(
         np.zeros((3, BLOCK), np.float32),
         np.zeros((3, BLOCK), np.float32),
         np.zeros((3, BLOCK), np.float32),  # what is past the end weighs 0, but has to be finite
@@ -111,30 +113,30 @@ def gradients(  # type: ignore[no-untyped-def]
             for s in range(BLOCK):
                 photo[s] = batch.photo[min(start + s, end - 1)]
             _fetch(photos.embedding, photo, l_x[l_width:])
-            _fetch(photos.exposure, photo, shown.exposure)
-            _fetch(photos.offset, photo, shown.offset)
+            _fetch(photos.exposure, photo, samples.exposure)
+            _fetch(photos.offset, photo, samples.offset)
             decode(light_decoder, l_x, l_hidden, l_raw)
-        shown.weight[:] = _ZERO
+        samples.weight[:] = _ZERO
         for s in range(count):
-            shown.weight[s] = batch.weight[start + s]
+            samples.weight[s] = batch.weight[start + s]
         for c in range(3):
             for s in range(count):
-                shown.colour[c, s] = batch.colour[start + s, c]
+                samples.colour[c, s] = batch.colour[start + s, c]
         if len(batch.prior) > 0:
             for c in range(4):
                 for s in range(count):
-                    shown.prior[c, s] = batch.prior[start + s, c]
-        own = rows[start // BLOCK]
-        loss += loss_backward(a_raw, l_raw, shown, weights, log_light, own[w_row:b_row], own[b_row:])
-        decode_backward(albedo_decoder, a_x, a_hidden, a_raw, a_back, own[:a_width], d_albedo)
+                    samples.prior[c, s] = batch.prior[start + s, c]
+        row = rows[start // BLOCK]
+        loss += loss_backward(a_raw, l_raw, samples, weights, log_light, row[w_row:b_row], row[b_row:])
+        decode_backward(albedo_decoder, a_x, a_hidden, a_raw, a_back, row[:a_width], d_albedo)
         if photometric:
-            decode_backward(light_decoder, l_x, l_hidden, l_raw, l_back, own[a_width:w_row], d_light)
+            decode_backward(light_decoder, l_x, l_hidden, l_raw, l_back, row[a_width:w_row], d_light)
     return loss
 
 
 @njit_inlined
 def _fetch(values, photo, block):  # type: ignore[no-untyped-def]
-    """What belongs to the photos, `values` (K, W), of each sample: into `block` (W, BLOCK)."""
+    """Write the values (K, W) of each sample's photo into `block` (W, BLOCK); `photo` (BLOCK,)."""
     for w in range(len(block)):
         for s in range(BLOCK):
             block[w, s] = values[photo[s], w]
@@ -142,18 +144,22 @@ def _fetch(values, photo, block):  # type: ignore[no-untyped-def]
 
 @njit_fast
 def scatter_photos(photo, rows, first_row, gradient):  # type: ignore[no-untyped-def]
-    """Add upstream gradients to those of each sample's photo, `gradient` (K, W): of `rows` (blocks, R, BLOCK) the W from
-    `first_row` on."""
+    """Add each sample's gradients to those of its photo, `gradient` (K, W).
+
+    Args:
+        photo: (N,) int64.
+        rows: (blocks, R, BLOCK); the W rows from `first_row` on are taken.
+    """
     for start in range(0, len(photo), BLOCK):
         block, count = rows[start // BLOCK], min(BLOCK, len(photo) - start)
         first = 0
         while first < count:  # neighbours mostly belong to one photo
-            own, end = photo[start + first], first + 1
-            while end < count and photo[start + end] == own:
+            k, end = photo[start + first], first + 1
+            while end < count and photo[start + end] == k:
                 end += 1
             for w in range(gradient.shape[1]):
                 total = _ZERO
                 for s in range(first, end):
                     total += block[first_row + w, s]
-                gradient[own, w] += total
+                gradient[k, w] += total
             first = end

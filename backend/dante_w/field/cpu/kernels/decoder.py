@@ -1,7 +1,7 @@
 """Decoders, forward and backward, for a block of samples: one hidden layer of ReLUs.
 
 Matrix products go by tiles of `TILE` x `TILE` weights, which stay in registers while a loop runs along the samples.
-They index flat arrays, so that LLVM sees rows a constant apart and needs no checks whether they overlap.
+They index flat arrays: LLVM then knows that rows do not overlap and are a constant apart.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dante_w.field.cpu.kernels import BLOCK
 _ZERO = np.float32(0.0)
 #: The loops below are written out for this many.
 TILE = 4
-#: Rows that a decoder gives: three channels, and one of zeros, so that they are a tile.
+#: Rows of a decoder's output: three channels, and one of zeros, so that they fill a tile.
 OUTPUTS = 4
 
 

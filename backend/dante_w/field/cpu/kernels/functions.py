@@ -1,6 +1,7 @@
-"""exp, log and the sRGB transfer in float32 arithmetic that compilers turn into SIMD; right to about 1e-6.
+"""exp, log and the sRGB encoding in float32 arithmetic that compilers turn into SIMD; right to about 1e-6.
 
-All take and give float32 scalars.
+They are series because numba's wheels come without Intel's SVML: math.exp and math.log would be calls, one number at a time.
+All take and return float32 scalars.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ _P1, _P2, _P3, _P4, _P5, _P6, _P7 = (
 _THIRD, _FIFTH, _SEVENTH, _NINTH, _ELEVENTH, _THIRTEENTH = (_F(1.0 / n) for n in range(3, 14, 2))
 _LEAST, _MOST = _F(-126.0), _F(127.0)
 _TINY = _F(2.0**-126)
-# of the sRGB transfer, IEC 61966-2-1
+# of the sRGB encoding, IEC 61966-2-1
 _SLOPE, _GAIN, _SHIFT, _POWER = _F(12.92), _F(1.055), _F(0.055), _F(1.0 / 2.4)
 _LINEAR_END, _ENCODED_END = _F(color.LINEAR_END), _F(color.ENCODED_END)
 
@@ -50,16 +51,19 @@ def log2(x):  # type: ignore[no-untyped-def]
 
 @njit_inlined
 def exp(x):  # type: ignore[no-untyped-def]
+    """e^x, held to the same range."""
     return exp2(x * _LOG2_E)
 
 
 @njit_inlined
 def log(x):  # type: ignore[no-untyped-def]
+    """ln(x); what is below 2^-126 counts as that."""
     return log2(x) * _LN_2
 
 
 @njit_inlined
 def sigmoid(x):  # type: ignore[no-untyped-def]
+    """1 / (1 + e^-x)."""
     return _ONE / (_ONE + exp(-x))
 
 

@@ -32,6 +32,7 @@ def corners(points, resolution, entries, entry, weight):  # type: ignore[no-unty
 
     Args:
         points: (D, BLOCK) in [0, 1], D = 2 or 3.
+        resolution, entries: of the level; the number of entries tells whether it is hashed.
         entry, weight: (2^D, BLOCK) to write: uint32 places in the level's table, and float32 weights.
     """
     if len(points) == 2:
@@ -107,6 +108,7 @@ def _corners_3d(points, resolution, entries, entry, weight):  # type: ignore[no-
 @njit_inlined
 def _cell(coordinate, resolution, side):  # type: ignore[no-untyped-def]
     """The cell that a coordinate in [0, 1] lies in, along one axis, and how far into it; the far edge belongs to the last."""
+    # min() changes nothing but bars the compiler from fusing this product with the difference below
     scaled = min(coordinate * resolution, np.float32(side - 1))
     cell = min(np.int32(scaled), np.int32(side - 2))
     return cell, scaled - np.float32(cell)
@@ -135,7 +137,7 @@ def encode(grid, points, entry, weight, encoded):  # type: ignore[no-untyped-def
 
 @njit_inlined
 def _sum_4(table, entry, weight, row_0, row_1):  # type: ignore[no-untyped-def]
-    """What four corners add up to, for two features: (BLOCK,) each, to write."""
+    """The weighted sums of four corners, for two features: into `row_0` and `row_1` (BLOCK,)."""
     for s in range(BLOCK):
         e0, e1, e2, e3 = entry[0, s], entry[1, s], entry[2, s], entry[3, s]
         w0, w1, w2, w3 = weight[0, s], weight[1, s], weight[2, s], weight[3, s]
@@ -162,7 +164,7 @@ def _sum_8(table, entry, weight, row_0, row_1):  # type: ignore[no-untyped-def]
 def scatter(points, resolution, rows, first_row, gradient):  # type: ignore[no-untyped-def]
     """The transpose of encoding with one level: add upstream gradients to its entries' `gradient` (entries, F).
 
-    points: (N, D) as they came. rows: (blocks, R, BLOCK), of which the F from `first_row` on belong to
+    points: (N, D), not held to [0, 1] yet. rows: (blocks, R, BLOCK), of which the F from `first_row` on belong to
     the level. Samples are taken in order, so sums come out the same every time.
     """
     dimensions, features = points.shape[1], gradient.shape[1]
@@ -173,10 +175,10 @@ def scatter(points, resolution, rows, first_row, gradient):  # type: ignore[no-u
         count = min(BLOCK, len(points) - first)
         load(points, first, block)
         corners(block, resolution, len(gradient), entry, weight)
-        own = rows[first // BLOCK, first_row : first_row + features]
+        upstream = rows[first // BLOCK, first_row : first_row + features]
         if features == 2:  # known lengths are loops unrolled
             for s in range(count):
-                upstream_0, upstream_1 = own[0, s], own[1, s]
+                upstream_0, upstream_1 = upstream[0, s], upstream[1, s]
                 for c in range(1 << dimensions):
                     e, w = entry[c, s], weight[c, s]
                     sum_0, sum_1 = gradient[e, 0] + w * upstream_0, gradient[e, 1] + w * upstream_1
@@ -186,7 +188,7 @@ def scatter(points, resolution, rows, first_row, gradient):  # type: ignore[no-u
                 for c in range(1 << dimensions):
                     e, w = entry[c, s], weight[c, s]
                     for f in range(features):
-                        gradient[e, f] += w * own[f, s]
+                        gradient[e, f] += w * upstream[f, s]
 
 
 @njit_inlined

@@ -1,4 +1,4 @@
-"""The loss of a block of samples and its gradient, as `optimise.model_loss` defines it."""
+"""The loss of a block of samples and its gradient, as `field.loss.model_loss` defines it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ _ZERO, _ONE, _TWO, _THIRD = np.float32(0.0), np.float32(1.0), np.float32(2.0), n
 
 
 class Weights(NamedTuple):
-    """What a unit of each term weighs in one channel of one sample, float32; 0 leaves the term out. `darkness` is
-    irradiance that has no tint any more."""
+    """Weight of each term in one channel of one sample, float32; 0 leaves the term out. `darkness` is `terms.DARKNESS`."""
 
     photometric: np.float32
     white_light: np.float32
@@ -25,10 +24,12 @@ class Weights(NamedTuple):
     darkness: np.float32
 
 
-class Shown(NamedTuple):
-    """What is known of a block, (3, BLOCK) float32: `exposure` e^w and `offset` of each sample's photo, and the
-    sRGB-encoded `colour`; `prior` (4, BLOCK), with its trust; `weight` (BLOCK,) of the samples. A prior that is not
-    finite adds nothing."""
+class BlockSamples(NamedTuple):
+    """What is known of a block's samples, float32.
+
+    `exposure` e^w and `offset` of each sample's photo (3, BLOCK), linear; `colour` (3, BLOCK), sRGB-encoded; `prior`
+    (4, BLOCK), sRGB-encoded, with its confidence; `weight` (BLOCK,). A prior that is not finite adds nothing.
+    """
 
     exposure: np.ndarray
     offset: np.ndarray
@@ -38,11 +39,12 @@ class Shown(NamedTuple):
 
 
 @njit_inlined
-def loss_backward(albedo, light, shown, weights, log_light, d_exposure, d_offset):  # type: ignore[no-untyped-def]
+def loss_backward(albedo, light, samples, weights, log_light, d_exposure, d_offset):  # type: ignore[no-untyped-def]
     """Loss of a block, from what comes before sigmoid and softplus.
 
     Args:
-        albedo, light: (OUTPUTS, BLOCK), what the decoders gave; of the first three rows the gradients take the place.
+        albedo, light: (OUTPUTS, BLOCK), the decoders' outputs; the first three rows are replaced by their gradients.
+        samples, weights: BlockSamples and Weights.
         log_light: (3, BLOCK), scratch.
         d_exposure, d_offset: (3, BLOCK) to write, gradients with respect to w and b.
     """
@@ -58,36 +60,36 @@ def loss_backward(albedo, light, shown, weights, log_light, d_exposure, d_offset
             log_light[2, s] -= mean
     for c in range(3):
         for s in range(BLOCK):
-            used = shown.weight[s]
+            sample_weight = samples.weight[s]
             a = sigmoid(albedo[c, s])
             d_a = d_light = d_w = d_b = loss = _ZERO
             if weights.photometric > _ZERO:
-                irradiance, exposure = softplus(light[c, s]), shown.exposure[c, s]
-                value, slope = srgb_from_linear(exposure * a * irradiance + shown.offset[c, s])
-                size, sign = _magnitude(value - shown.colour[c, s])
+                irradiance, exposure = softplus(light[c, s]), samples.exposure[c, s]
+                value, slope = srgb_from_linear(exposure * a * irradiance + samples.offset[c, s])
+                size, sign = _magnitude(value - samples.colour[c, s])
                 d_colour = weights.photometric * sign * slope
-                tint, b = log_light[c, s], shown.offset[c, s]
-                offset, toward = _magnitude(b)
+                tint, b = log_light[c, s], samples.offset[c, s]
+                offset, offset_sign = _magnitude(b)
                 loss = weights.photometric * size
                 loss += weights.white_light * tint * tint + weights.small_offset * offset
                 d_a = d_colour * exposure * irradiance
                 d_w = d_colour * exposure * irradiance * a
-                d_b = d_colour + weights.small_offset * toward
+                d_b = d_colour + weights.small_offset * offset_sign
                 d_light = d_colour * exposure * a
                 d_light += _TWO * weights.white_light * tint / (irradiance + weights.darkness)
                 d_light *= sigmoid(light[c, s])
             if weights.prior > _ZERO:
-                prior, trust = shown.prior[c, s], shown.prior[3, s]
-                known = abs(prior) < _INFINITE and abs(trust) < _INFINITE
+                prior, confidence = samples.prior[c, s], samples.prior[3, s]
+                known = abs(prior) < _INFINITE and abs(confidence) < _INFINITE
                 size, sign = _magnitude(a - linear_from_srgb(prior if known else _ZERO))
-                weight = weights.prior * trust if known else _ZERO
+                weight = weights.prior * confidence if known else _ZERO
                 loss += weight * size
                 d_a += weight * sign
-            total += used * loss
-            albedo[c, s] = used * d_a * a * (_ONE - a)
-            light[c, s] = used * d_light
-            d_exposure[c, s] = used * d_w
-            d_offset[c, s] = used * d_b
+            total += sample_weight * loss
+            albedo[c, s] = sample_weight * d_a * a * (_ONE - a)
+            light[c, s] = sample_weight * d_light
+            d_exposure[c, s] = sample_weight * d_w
+            d_offset[c, s] = sample_weight * d_b
     return total
 
 

@@ -11,11 +11,14 @@ from pathlib import Path
 
 import pytest
 import torch
-from dante_w.field.cuda import grid as triton_grid
-from dante_w.field.cuda.step import TritonStep
+from dante_w.field.cuda import grid as cuda_grid
+from dante_w.field.cuda.step import CudaStep
 from dante_w.field.hash_encoding import GridSpec, encode_reference
-from dante_w.field.optimise import LossTerms, TorchStep, step_for
-from test_fused import SPECS, TERMS, all_of, in_float64, some_model, some_samples
+from dante_w.field.inference import albedo_at
+from dante_w.field.optimise import step_for
+from dante_w.field.step import TorchStep
+from dante_w.field.terms import LossTerms
+from test_cpu_step import SPECS, TERMS, all_of, in_float64, some_model, some_samples
 
 pytest.importorskip("triton", reason="the CUDA kernels are written in it; there are wheels for Linux alone")
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
@@ -28,12 +31,8 @@ GRIDS = {
 }
 
 
-@pytest.fixture(autouse=True)
-def large_blocks(monkeypatch):
-    """The interpreter takes its time for each program, whatever its size."""
-    if DEVICE == "cpu":
-        monkeypatch.setattr(triton_grid, "BLOCK", 1024)
-        monkeypatch.setattr(triton_grid, "ADAM_BLOCK", 1 << 14)
+#: The interpreter takes its time for each program, whatever its size.
+LAUNCH = cuda_grid.Launch(points=1024, numbers=1 << 14) if DEVICE == "cpu" else cuda_grid.LAUNCH
 
 
 def on_device(samples):
@@ -62,27 +61,27 @@ def test_encoding_and_its_transpose_are_those_of_the_reference(spec, count):
     tables, points = some_tables(spec), some_points(count, spec.dimensions)
     exact = tables.double().requires_grad_()
     wanted = encode_reference(points.double(), exact, spec)
-    encoded = triton_grid.encode(points.to(DEVICE), tables.to(DEVICE), spec)
+    encoded = cuda_grid.encode(points.to(DEVICE), tables.to(DEVICE), spec, LAUNCH)
     torch.testing.assert_close(encoded.cpu().double(), wanted, rtol=1e-4, atol=1e-4)
     upstream = torch.randn(count, spec.width, generator=torch.Generator().manual_seed(3))
     (slope,) = torch.autograd.grad(wanted, exact, upstream.double())
     found = torch.zeros(exact.numel(), device=DEVICE)
-    for group in triton_grid.groups_of(spec):
-        own = found[group.start * spec.features :]
-        triton_grid.scatter(points.to(DEVICE), upstream.to(DEVICE), spec, group, own)
+    for group in cuda_grid.level_groups(spec):
+        rest = found[group.start * spec.features :]
+        cuda_grid.scatter(points.to(DEVICE), upstream.to(DEVICE), spec, group, rest, LAUNCH)
     assert (found.cpu().double().view_as(slope) - slope).norm() <= 1e-4 * slope.norm()
 
 
 def test_groups_are_all_levels_in_order_and_none_is_larger_than_the_largest_level():
     for spec in GRIDS.values():
-        groups = triton_grid.groups_of(spec)
+        groups = cuda_grid.level_groups(spec)
         assert [level for g in groups for level in range(g.first, g.first + g.levels)] == list(
             range(spec.levels)
         )
         assert all(g.entries == sum(spec.entries[g.first : g.first + g.levels]) for g in groups)
         assert all(g.start == sum(spec.entries[: g.first]) for g in groups)
         assert max(g.entries for g in groups) == max(spec.entries)
-    assert len(triton_grid.groups_of(GRIDS["dense and hashed 2D"])) == 3
+    assert len(cuda_grid.level_groups(GRIDS["dense and hashed 2D"])) == 3
 
 
 @pytest.mark.parametrize("terms", TERMS.values(), ids=TERMS.keys())
@@ -91,7 +90,7 @@ def test_loss_and_gradients_are_those_of_the_reference(spec, terms):
     model, samples = some_model(SPECS[spec]), some_samples(500, prior=terms.small_offset == 0.0)
     exact_model, exact_samples = in_float64(model, samples)
     model.to(DEVICE)
-    loss, ours = TritonStep(model, terms, all_of(model), 1e-2).gradients(on_device(samples))
+    loss, ours = CudaStep(model, terms, all_of(model), 1e-2, LAUNCH).gradients(on_device(samples))
     exact_loss, exact = TorchStep(exact_model, terms, all_of(exact_model), 1e-2).gradients(exact_samples)
     assert float(loss) == pytest.approx(float(exact_loss), rel=1e-5)
     assert ours.keys() == exact.keys()
@@ -110,7 +109,7 @@ def test_steps_follow_torch_where_every_entry_is_touched():
     before = [parameter.detach().double() for parameter in model.parameters()]
     exact_model, _ = in_float64(model, some_samples(1, prior=False))
     model.to(DEVICE)
-    ours = TritonStep(model, TERMS["no priors"], all_of(model), 1e-3)
+    ours = CudaStep(model, TERMS["no priors"], all_of(model), 1e-3, LAUNCH)
     exact = TorchStep(exact_model, TERMS["no priors"], all_of(exact_model), 1e-3)
     for step in range(10):
         samples = some_samples(1024, prior=False)
@@ -129,7 +128,7 @@ def test_moments_are_right_on_average():
     state = [t.to(DEVICE) for t in (value, mean.bfloat16(), square.bfloat16(), torch.empty(count))]
     for step in range(1, 51):
         state[3].copy_(g)
-        triton_grid.adam(*state, 1e-3, 1.0, step)
+        cuda_grid.adam(*state, cuda_grid.AdamStep(1e-3, 1.0, step), LAUNCH)
         mean, square = 0.9 * mean + 0.1 * g, 0.999 * square + 0.001 * g * g
     assert not state[3].any()
     for found, exact in ((state[1], mean), (state[2], square)):
@@ -140,7 +139,7 @@ def test_moments_are_right_on_average():
 
 def test_an_entry_that_no_sample_touches_stays_with_its_moments():
     model = some_model(SPECS["dense"]).to(DEVICE)
-    step = TritonStep(model, TERMS["no priors"], all_of(model), 1e-2)
+    step = CudaStep(model, TERMS["no priors"], all_of(model), 1e-2, LAUNCH)
     samples, before = some_samples(64, prior=False), model.albedo.grid.tables.detach().clone()
     finest = slice(-33 * 33, None)
     step.gradients(on_device(dataclasses.replace(samples, uv=samples.uv * 0.4)))
@@ -156,7 +155,7 @@ def test_an_entry_that_no_sample_touches_stays_with_its_moments():
 def test_only_the_chosen_parameters_change():
     model = some_model(SPECS["hash"]).to(DEVICE)
     before = {name: p.detach().clone() for name, p in model.named_parameters()}
-    step = TritonStep(model, LossTerms(), model.photo_parameters(), 1e-2)
+    step = CudaStep(model, LossTerms(), model.photo_parameters(), 1e-2, LAUNCH)
     step.gradients(on_device(some_samples(200, prior=False)))
     step.update(1.0)
     changed = {name for name, p in model.named_parameters() if not torch.equal(p, before[name])}
@@ -171,7 +170,7 @@ def test_odd_samples_leave_everything_finite():
     odd = torch.tensor([torch.nan, torch.inf, -torch.inf, -7.0, 65504.0, 0.0])
     samples.uv[:, 0], samples.position[:, 0] = odd.repeat(6), odd.repeat_interleave(6)
     model.to(DEVICE)
-    step = TritonStep(model, TERMS["priors"], all_of(model), 1e-2)
+    step = CudaStep(model, TERMS["priors"], all_of(model), 1e-2, LAUNCH)
     for _ in range(2):
         loss, _ = step.gradients(on_device(samples))
         assert torch.isfinite(loss)
@@ -182,12 +181,12 @@ def test_odd_samples_leave_everything_finite():
 @pytest.mark.skipif(DEVICE == "cpu", reason="chosen for CUDA alone")
 def test_it_is_chosen_on_cuda():
     model = some_model(SPECS["hash"]).to(DEVICE)
-    assert triton_grid.failure() is None
-    assert isinstance(step_for(model, LossTerms(), all_of(model), 1e-2), TritonStep)
+    assert cuda_grid.failure() is None
+    assert isinstance(step_for(model, LossTerms(), all_of(model), 1e-2), CudaStep)
     with torch.no_grad():
         samples = some_samples(1000, prior=False)
         wanted = model.cpu().double().albedo(samples.uv.double())
-        found = model.float().to(DEVICE).albedo(samples.uv.to(DEVICE))
+        found = albedo_at(model.float().to(DEVICE), samples.uv.to(DEVICE))
     torch.testing.assert_close(found.cpu().double(), wanted, rtol=1e-4, atol=1e-5)
 
 

@@ -14,20 +14,23 @@ import pytest
 import torch
 from dante_w.core.color import linear_from_srgb, srgb_from_linear
 from dante_w.core.jit import njit_fast
-from dante_w.field.cpu import step as fused
+from dante_w.field.cpu import step as cpu_step
 from dante_w.field.cpu.kernels import functions
-from dante_w.field.cpu.step import FusedStep
-from dante_w.field.fields import Model, ModelSpec
+from dante_w.field.cpu.step import CpuStep
+from dante_w.field.fields import FieldModel, FieldSpec
 from dante_w.field.hash_encoding import GridSpec
-from dante_w.field.optimise import LossTerms, TorchStep, step_for
+from dante_w.field.inference import albedo_at, light_at
+from dante_w.field.optimise import step_for
+from dante_w.field.step import TorchStep
+from dante_w.field.terms import LossTerms
 from dante_w.rays.ray_cache import Samples
 
 PHOTOS = 5
 LIGHT = GridSpec(3, 3, 2, 2, 12, 10)
 SPECS = {
-    "hash": ModelSpec(GridSpec(2, 5, 2, 4, 90, 10), LIGHT, hidden=16, embedding=3),
-    "wide": ModelSpec(GridSpec(2, 3, 3, 4, 32, 12), GridSpec(3, 2, 1, 2, 8, 10), hidden=33, embedding=8),
-    "dense": ModelSpec(GridSpec(2, 2, 2, 4, 32, 12), LIGHT, hidden=16, embedding=3),
+    "hash": FieldSpec(GridSpec(2, 5, 2, 4, 90, 10), LIGHT, hidden=16, embedding=3),
+    "wide": FieldSpec(GridSpec(2, 3, 3, 4, 32, 12), GridSpec(3, 2, 1, 2, 8, 10), hidden=33, embedding=8),
+    "dense": FieldSpec(GridSpec(2, 2, 2, 4, 32, 12), LIGHT, hidden=16, embedding=3),
 }
 TERMS = {
     "priors": LossTerms(True, 0.7),
@@ -36,9 +39,9 @@ TERMS = {
 }
 
 
-def some_model(spec: ModelSpec) -> Model:
+def some_model(spec: FieldSpec) -> FieldModel:
     torch.manual_seed(0)
-    model = Model(spec, PHOTOS)
+    model = FieldModel(spec, PHOTOS)
     for grid in (model.albedo.grid, model.irradiance.grid):
         torch.nn.init.normal_(grid.tables, std=0.5)
     for parameter in (model.log_exposure, model.offset):
@@ -59,15 +62,15 @@ def some_samples(count: int, prior: bool) -> Samples:
     return Samples(photo, uniform(count, 2), uniform(count, 3), uniform(count, 3), known, uniform(count))
 
 
-def in_float64(model: Model, samples: Samples) -> tuple[Model, Samples]:
-    exact = Model(model.spec, PHOTOS).double()
+def in_float64(model: FieldModel, samples: Samples) -> tuple[FieldModel, Samples]:
+    exact = FieldModel(model.spec, PHOTOS).double()
     exact.load_state_dict(model.state_dict())
     values = {f.name: getattr(samples, f.name) for f in dataclasses.fields(samples)}
     floats = {name: v.double() for name, v in values.items() if name != "photo" and v is not None}
     return exact, dataclasses.replace(samples, **floats)
 
 
-def all_of(model: Model) -> list[torch.nn.Parameter]:
+def all_of(model: FieldModel) -> list[torch.nn.Parameter]:
     return list(model.parameters())
 
 
@@ -77,7 +80,7 @@ def all_of(model: Model) -> list[torch.nn.Parameter]:
 def test_loss_and_gradients_are_those_of_the_reference(spec, terms, count):
     model, samples = some_model(spec), some_samples(count, prior=terms.small_offset == 0.0)
     exact_model, exact_samples = in_float64(model, samples)
-    loss, ours = FusedStep(model, terms, all_of(model), 1e-2).gradients(samples)
+    loss, ours = CpuStep(model, terms, all_of(model), 1e-2).gradients(samples)
     exact_loss, exact = TorchStep(exact_model, terms, all_of(exact_model), 1e-2).gradients(exact_samples)
     assert loss == pytest.approx(float(exact_loss), rel=1e-5)
     assert ours.keys() == dict(model.named_parameters()).keys()
@@ -90,8 +93,8 @@ def test_loss_and_gradients_are_those_of_the_reference(spec, terms, count):
 def test_values_without_gradients_are_those_of_the_reference(spec):
     model, samples = some_model(spec), some_samples(3000, prior=False)
     exact_model, exact_samples = in_float64(model, samples)
+    albedo, light = albedo_at(model, samples.uv), light_at(model, samples.position, samples.photo)
     with torch.no_grad():
-        albedo, light = model.albedo(samples.uv), model.light(samples.position, samples.photo)
         exact = exact_model.albedo(exact_samples.uv), exact_model.light(exact_samples.position, samples.photo)
     torch.testing.assert_close(albedo.double(), exact[0], rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(light.double(), exact[1], rtol=1e-4, atol=1e-5)
@@ -104,8 +107,8 @@ def test_steps_follow_torch_where_every_entry_is_touched(spec):
     model = some_model(dataclasses.replace(spec, **small))
     exact_model, _ = in_float64(model, some_samples(1, prior=False))
     ours, exact = (
-        way(m, TERMS["no priors"], all_of(m), 1e-3)
-        for way, m in ((FusedStep, model), (TorchStep, exact_model))
+        kind(m, TERMS["no priors"], all_of(m), 1e-3)
+        for kind, m in ((CpuStep, model), (TorchStep, exact_model))
     )
     for step in range(5):
         samples = some_samples(4096, prior=False)
@@ -120,7 +123,7 @@ def test_steps_follow_torch_where_every_entry_is_touched(spec):
 def test_an_entry_that_no_sample_touches_stays_with_its_moments():
     model = some_model(SPECS["dense"])
     before = model.albedo.grid.tables.detach().clone()
-    step = FusedStep(model, TERMS["no priors"], all_of(model), 1e-2)
+    step = CpuStep(model, TERMS["no priors"], all_of(model), 1e-2)
     samples = some_samples(64, prior=False)
     left = dataclasses.replace(samples, uv=samples.uv * 0.4)
     step.gradients(left)
@@ -140,9 +143,9 @@ def test_any_number_of_threads_gives_the_same_bytes(spec, monkeypatch):
     results = []
     for threads in (1, 2, 2, 5):
         with ThreadPoolExecutor(threads) as pool:
-            monkeypatch.setattr(fused, "_threads", lambda pool=pool: pool)
+            monkeypatch.setattr(cpu_step, "_threads", lambda pool=pool: pool)
             model = some_model(spec)
-            step = FusedStep(model, TERMS["priors"], all_of(model), 1e-2)
+            step = CpuStep(model, TERMS["priors"], all_of(model), 1e-2)
             losses = []
             for _ in range(3):
                 losses.append(step.gradients(some_samples(5000, prior=True))[0])
@@ -155,10 +158,10 @@ def test_any_number_of_threads_gives_the_same_bytes(spec, monkeypatch):
 ONE_STEP = """
 import hashlib, sys
 sys.path.insert(0, sys.argv[1])
-from test_fused import SPECS, TERMS, FusedStep, all_of, some_model, some_samples
+from test_cpu_step import SPECS, TERMS, CpuStep, all_of, some_model, some_samples
 
 model = some_model(SPECS["hash"])
-step = FusedStep(model, TERMS["no priors"], all_of(model), 1e-2)
+step = CpuStep(model, TERMS["no priors"], all_of(model), 1e-2)
 loss, gradients = step.gradients(some_samples(5000, prior=False))
 print(hashlib.sha256(b"".join([repr(loss).encode(), *(g.tobytes() for g in gradients.values())])).hexdigest())
 """
@@ -191,7 +194,7 @@ def test_odd_samples_leave_everything_finite(spec):
     samples.position[:, 0] = odd.repeat(6)
     samples.colour[:, 0] = odd[3:].repeat(12)
     samples.prior[:, 0] = odd.repeat(6)
-    step = FusedStep(model, LossTerms(True, 1.0, 0.1, 0.1), all_of(model), 1e-2)
+    step = CpuStep(model, LossTerms(True, 1.0, 0.1, 0.1), all_of(model), 1e-2)
     for _ in range(3):
         loss, gradients = step.gradients(samples)
         assert np.isfinite(loss)
@@ -203,7 +206,7 @@ def test_odd_samples_leave_everything_finite(spec):
 def test_only_the_chosen_parameters_change():
     model, samples = some_model(SPECS["hash"]), some_samples(500, prior=False)
     before = {name: p.detach().clone() for name, p in model.named_parameters()}
-    step = FusedStep(model, LossTerms(), model.photo_parameters(), 1e-2)
+    step = CpuStep(model, LossTerms(), model.photo_parameters(), 1e-2)
     step.gradients(samples)
     step.update(1.0)
     changed = {name for name, p in model.named_parameters() if not torch.equal(p, before[name])}
@@ -212,7 +215,7 @@ def test_only_the_chosen_parameters_change():
 
 def test_the_kernels_serve_the_models_they_know():
     model = some_model(SPECS["hash"])
-    assert isinstance(step_for(model, LossTerms(), all_of(model), 1e-2), FusedStep)
+    assert isinstance(step_for(model, LossTerms(), all_of(model), 1e-2), CpuStep)
     assert isinstance(step_for(model.double(), LossTerms(), all_of(model), 1e-2), TorchStep)
 
 
