@@ -39,7 +39,6 @@ LONG_FILES = frozenset(
     benchmarks/extremes/broken_files.py
     benchmarks/extremes/fuzz.py
     benchmarks/tradeoff.py
-    blender_tests/drive_window.py
     """)
 )
 LONG_PARAMETER_LISTS = frozenset(
