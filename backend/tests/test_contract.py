@@ -30,6 +30,7 @@ from dante_w.contract.protocol import (
     read_expected,
 )
 from dante_w.contract.triangles import Triangles, read_obj, write_obj
+from dante_w.presets import PRESETS
 from dante_w.scene.mesh import read_mesh
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,7 +43,7 @@ SIDES = [
 ]
 COMPONENT_KEYS = [component.key for component in vocabulary.COMPONENTS]
 COMPONENT_NAMES = [component.name for component in vocabulary.COMPONENTS]
-#: Words of which a list anywhere else would be a copy.
+#: Words of which a list of most of them, anywhere else, would be a copy.
 LISTS = [
     set(vocabulary.PRESETS),
     set(vocabulary.MODELS),
@@ -72,7 +73,9 @@ def copies(source: str) -> Iterator[str]:
             words = [each.value for each in node.elts if isinstance(each, ast.Constant)]
             if len(words) == len(node.elts) and len(words) > 1:
                 yield from (
-                    f"{words}" for known in LISTS if set(words) <= known and len(set(words)) > len(known) / 2
+                    f"{words}"
+                    for known in LISTS
+                    if set(words) <= known and len(set(words)) >= 0.7 * len(known)
                 )
     for node in tree.body:
         names = [node.name] if isinstance(node, ast.ClassDef | ast.FunctionDef) else []
@@ -147,6 +150,13 @@ def test_every_model_has_presets_and_stages():
     assert {preset for presets in vocabulary.MODEL_PRESETS.values() for preset in presets} == set(
         vocabulary.PRESETS
     )
+
+
+def test_presets_have_settings_for_the_models_that_they_belong_to():
+    assert list(PRESETS) == list(vocabulary.PRESETS)
+    for name, preset in PRESETS.items():
+        assert (preset.traced is not None) == (name in vocabulary.MODEL_PRESETS["traced"])
+        assert name in vocabulary.MODEL_PRESETS["field"] and preset.field
 
 
 def test_components_are_found_by_name_and_key():

@@ -106,9 +106,11 @@ class DANTEW_PG_settings(bpy.types.PropertyGroup):
 
 def component_choices(settings: DANTEW_PG_settings) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Keys of the components of the light that are always modelled, and of those that never are."""
-    choices = {each.key: getattr(settings, f"model_{each.key}") for each in COMPONENTS}
-    on, off = (tuple(key for key, choice in choices.items() if choice == value) for value in ("ON", "OFF"))
-    return on, off
+    choices = {item.key: getattr(settings, f"model_{item.key}") for item in COMPONENTS}
+    always, never = (
+        tuple(key for key, choice in choices.items() if choice == value) for value in ("ON", "OFF")
+    )
+    return always, never
 
 
 def preset_problem(settings: DANTEW_PG_settings) -> str | None:

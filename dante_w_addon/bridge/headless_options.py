@@ -93,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--irradiance", default="traced", choices=MODELS, help="how light is modelled")
     parser.add_argument("--device", default="auto", choices=DEVICES, help="for --irradiance field")
-    words = [word for each in COMPONENTS for word in dict.fromkeys((each.name, each.key))]
+    words = [word for item in COMPONENTS for word in dict.fromkeys((item.name, item.key))]
     for option, meaning in (
         ("--model", "always model this component of the light"),
         ("--leave-out", "never model it"),

@@ -113,12 +113,12 @@ class DANTEW_PT_relight(_Panel, bpy.types.Panel):
         column.prop(settings, "rotation")
         column.prop(settings, "strength")
         column.prop(settings, "samples")
-        running = relight.active
-        if running is not None:
-            total = len(running.lights)
-            done = min(len(running.files), total - 1)
+        relighting = relight.active
+        if relighting is not None:
+            total = len(relighting.lights)
+            index = min(len(relighting.files), total - 1)
             row = layout.row(align=True)
-            row.progress(factor=(done + 0.5) / total, text=f"Rendering {done + 1} of {total}")
+            row.progress(factor=(index + 0.5) / total, text=f"Rendering {index + 1} of {total}")
             row.operator("dantew.cancel_relight", text="", icon="X")
         else:
             row = layout.row(align=True)

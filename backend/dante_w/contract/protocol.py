@@ -99,7 +99,7 @@ def encode(message: Message) -> str:
     elif isinstance(message, Expected):
         content = {"stage": "expected", **asdict(message)}
     elif isinstance(message, Planned):
-        content = {"stage": "planned", "decisions": [asdict(each) for each in message.decisions]}
+        content = {"stage": "planned", "decisions": [asdict(decision) for decision in message.decisions]}
     elif isinstance(message, Done):
         names = {"out": message.out, "object": message.object_name}
         content = {"stage": "done", **{k: v for k, v in names.items() if v}, "report": message.report}

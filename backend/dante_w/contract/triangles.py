@@ -68,6 +68,6 @@ def read_obj(path: Path) -> Triangles:
                 uvs.append([float(word) for word in words])
             elif keyword == "f":
                 indices = [[int(index) - 1 for index in word.split("/")[:2]] for word in words]
-                corners.append([each[0] for each in indices])
-                uv_corners.append([each[1] for each in indices])
+                corners.append([vertex for vertex, _ in indices])
+                uv_corners.append([uv for _, uv in indices])
     return Triangles(np.array(vertices), np.array(corners), np.array(uvs), np.array(uv_corners))

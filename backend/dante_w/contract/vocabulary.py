@@ -116,9 +116,9 @@ def component(word: str) -> Component:
     Raises:
         KeyError: there is none.
     """
-    for each in COMPONENTS:
-        if word in (each.name, each.key):
-            return each
+    for item in COMPONENTS:
+        if word in (item.name, item.key):
+            return item
     raise KeyError(word)
 
 
