@@ -63,6 +63,21 @@ def test_history_stays_in_the_changelog():
             assert not found, f"{page.name} names commits: {found}"
 
 
+def test_files_and_symbols_that_are_named_exist():
+    files = ["/" + path.relative_to(ROOT).as_posix() for path in tracked("*.py")]
+    for page in PAGES:
+        if page.name != "CHANGELOG.md":
+            for name in re.findall(r"`([a-z0-9_/]+\.py)`", page.read_text(encoding="utf-8")):
+                assert any(file.endswith("/" + name) for file in files), f"{page.name}: there is no {name}"
+    method = (ROOT / "docs/method.md").read_text(encoding="utf-8")
+    symbols = method[method.index("## Symbols") : method.index("## Sources")]
+    sources = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "backend/dante_w").rglob("*.py"))
+    words = set(re.findall(r"\w+", sources))
+    for code in re.findall(r"`([^`]+)`", symbols):
+        missing = set(re.findall(r"[A-Za-z_]\w+", code)) - words
+        assert not missing, f"method.md: {code} is not in the backend"
+
+
 def template(node: ast.AST) -> str | None:
     """A string of the sources with its blanks; None for anything else."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
