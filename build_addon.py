@@ -32,7 +32,8 @@ def contents(root: Path = ROOT) -> dict[str, bytes]:
     for path in sorted(addon.rglob("*.py")):
         files[path.relative_to(addon).as_posix()] = path.read_bytes()
     backend_folder = root / "backend"
-    sources = sorted((backend_folder / "dante_w").rglob("*.py"))
+    package = backend_folder / "dante_w"
+    sources = sorted([*package.rglob("*.py"), *package.rglob("*.json")])
     for path in [backend_folder / "launch.py", backend_folder / "requirements.txt", *sources]:
         files[path.relative_to(root).as_posix()] = path.read_bytes()
     if (root / "LICENSE").is_file():

@@ -53,7 +53,8 @@ def test_pure_python_with_the_backend_inside(package):
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
     assert {"__init__.py", "batch.py", "backend/launch.py", "backend/requirements.txt"} <= set(names)
     assert "backend/dante_w/contract/scene_folder.py" in names
-    assert {Path(name).suffix for name in names} <= {".py", ".toml", ".txt", ""}
+    assert {f"backend/dante_w/estimate/{name}.json" for name in ("seconds", "quality")} <= set(names)
+    assert {Path(name).suffix for name in names} <= {".py", ".json", ".toml", ".txt", ""}
     assert manifest["blender_version_min"] == "4.2.0" and set(manifest["permissions"]) == {"files", "network"}
     assert package.name == f"dante_w-{manifest['version']}.zip"
 

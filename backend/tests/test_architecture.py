@@ -22,6 +22,7 @@ FLOORS = (
     ("texture",),
     ("run",),
     ("traced", "field"),
+    ("presets",),
     ("estimate",),
     ("commands",),
     ("__main__",),
@@ -41,17 +42,7 @@ LONG_FILES = frozenset(
     benchmarks/tradeoff.py
     """)
 )
-LONG_PARAMETER_LISTS = frozenset(
-    str.split("""
-    backend/dante_w/estimate/traced_pace.py:measure_traced
-    backend/dante_w/traced/albedo_texture.py:albedo_texture
-    backend/dante_w/traced/light_clusters.py:reassign_photos
-    backend/dante_w/traced/light_transport.py:_trace
-    backend/dante_w/traced/model_selection.py:select_components
-    backend/dante_w/traced/pipeline.py:recover_albedo
-    backend/dante_w/traced/specular.py:specular_radiance
-    """)
-)
+LONG_PARAMETER_LISTS: frozenset[str] = frozenset()
 
 
 @cache

@@ -286,7 +286,7 @@ def test_signals_end_the_run_within_a_second(scene, tmp_path, wanted, irradiance
         "--out",
         str(out),
         "--preset",
-        "paper",
+        "paper" if irradiance == "field" else "high",
         "--irradiance",
         irradiance,
         "--json",

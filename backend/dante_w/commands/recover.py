@@ -9,7 +9,7 @@ import numpy as np
 
 from dante_w.commands.recover_field import plan_field, recover_field
 from dante_w.commands.recover_traced import plan_traced, recover_traced
-from dante_w.commands.stages import bake_files, expect_no_fit, nearest, prepare, trace_rays, write_report
+from dante_w.commands.stages import bake_files, expect_average, nearest, prepare, trace_rays, write_report
 from dante_w.contract.errors import BadInput
 from dante_w.contract.vocabulary import component
 from dante_w.core.color import linear_from_srgb_array
@@ -101,10 +101,10 @@ def _check_components(options: RecoverOptions) -> None:
 
 def average(options: RecoverOptions, staging: Path, progress: Progress) -> dict[str, Any]:
     """Average the photos on the texture, light and all: the baseline. Same files and errors as `recover`."""
-    scene, scene3d, size, _ = prepare(
+    scene, scene3d, size, _, samples = prepare(
         options, None, PRESETS["standard"].texture_size, AVERAGED, staging, progress
     )
-    expect_no_fit(options, scene, scene3d, size, staging, progress)
+    expectation = expect_average(scene, size, samples, progress)
     coverage, mean = empty_coverage(size, size), PhotoAverage(size, size)
 
     def visit(uv: np.ndarray, footprint: np.ndarray, srgb: np.ndarray) -> None:
@@ -114,4 +114,4 @@ def average(options: RecoverOptions, staging: Path, progress: Progress) -> dict[
     cache = trace_rays(scene, scene3d, visit, staging, progress)
     seen = bake_files(nearest(mean.resolve()), scene3d.mesh, coverage, options.format, staging, progress)
     facts = {"photos": len(scene.frames), "samples": len(cache), "coverage": seen, "texture_size": size}
-    return write_report(options, staging, progress, **facts)
+    return write_report(options, staging, progress, **facts, **expectation)

@@ -19,11 +19,10 @@ from dante_w.commands.plan_report import (
     samples,
 )
 from dante_w.commands.stages import (
-    TEXEL_TYPES,
     bake_files,
     begin,
     check_exposed,
-    expect_no_fit,
+    expect_average,
     look,
     pixels,
     prepare,
@@ -33,9 +32,9 @@ from dante_w.commands.stages import (
 )
 from dante_w.contract.errors import BadInput
 from dante_w.contract.scene_folder import Scene
-from dante_w.estimate.expectation import QUALITY, Expectation, Work, predict
+from dante_w.estimate.expectation import Expectation, quality
 from dante_w.estimate.memory import BAKED, cache_bytes, fit_bytes, resident, room
-from dante_w.estimate.pace import Texture, measure, take
+from dante_w.estimate.seconds import Work, measure, predict
 from dante_w.field.fields import FieldSpec
 from dante_w.field.optimise import photo_ranges
 from dante_w.field.pipeline import FieldRun, albedo_lookup, fit_field
@@ -44,7 +43,6 @@ from dante_w.field.scale_ambiguity import albedo_gain
 from dante_w.options import RecoverOptions
 from dante_w.presets import Preset
 from dante_w.rays.ray_cache import RayCache
-from dante_w.rays.scene3d import Scene3D
 from dante_w.run import distributed
 from dante_w.run.checkpoints import open_checkpoints
 from dante_w.run.device import pick_device
@@ -62,7 +60,7 @@ def recover_field(
     settings = chosen.field
     if options.equal_bands:
         settings = dataclasses.replace(settings, model=with_equal_bands(settings.model))
-    scene, scene3d, size, texture = prepare(
+    scene, scene3d, size, texture, sample_count = prepare(
         options, options.priors, chosen.texture_size, BAKED, staging, progress
     )
     use_prior = options.prior_weight > 0.0 and any(frame.albedo for frame in scene.frames)
@@ -72,7 +70,11 @@ def recover_field(
     held_out = choose_held_out(len(scene.frames))
     final_pass = not options.keep_held_out
     run = FieldRun(settings, terms, held_out, device, options.seed, final_pass)
-    expected = _expect(options, scene, scene3d, size, run, staging, progress)
+    probe = measure(device.type)
+    to_come = predict(_work(options, scene, run, size, sample_count), "field", probe, device.type)
+    begin(progress, to_come)
+    figures = None if use_prior or options.equal_bands else quality("field", chosen.name)
+    expected = say_expected(options, Expectation(progress.seconds | to_come, figures), use_prior, progress)
     held = resident()
     kept = open_checkpoints(options, scene, scene3d.mesh)
     seen = look(scene, scene3d, size, kept, staging, progress, chosen.cast)
@@ -83,7 +85,10 @@ def recover_field(
     settings = dataclasses.replace(settings, model=settings.spec_for(size, cache))
     plan = _plan(scene, settings.model, cache, size, texture, held)
     say_plan(options, plan, progress)
-    result = fit_field(cache, dataclasses.replace(run, settings=settings), progress, kept)
+    run = dataclasses.replace(run, settings=settings)
+    work = _work(options, scene, run, size, len(cache))
+    progress.expect(predict(work, "field", probe, device.type))
+    result = fit_field(cache, run, progress, kept)
     if distributed.rank() > 0:
         return {}
     progress.update("bake", 0.0, 1.0)
@@ -120,15 +125,17 @@ def recover_field(
         resumed=kept.resumed,
         texture_size=size,
         expected=expected,
+        work=dataclasses.asdict(work),
+        probe=dataclasses.asdict(probe),
     )
 
 
 def plan_field(options: RecoverOptions, chosen: Preset, staging: Path, progress: Progress) -> dict[str, Any]:
     """Decide how large the paper's model is and say so, without fitting it. Arguments and errors as `recover.recover`."""
-    scene, scene3d, size, texture = prepare(
+    scene, scene3d, size, texture, sample_count = prepare(
         options, options.priors, chosen.texture_size, BAKED, staging, progress
     )
-    expect_no_fit(options, scene, scene3d, size, staging, progress)
+    expect_average(scene, size, sample_count, progress)
     held = resident()
     cache = look(scene, scene3d, size, None, staging, progress).cache
     check_exposed(scene, cache)
@@ -160,31 +167,18 @@ def _plan(
     ]
 
 
-def _expect(
-    options: RecoverOptions,
-    scene: Scene,
-    scene3d: Scene3D,
-    size: int,
-    run: FieldRun,
-    staging: Path,
-    progress: Progress,
-) -> dict[str, Any]:
-    """What is said of the run before it begins."""
-    settings, held_out = run.settings, run.held_out
-    texture = Texture(size, TEXEL_TYPES[options.format])
-    work = Work(
-        photos=len(scene.frames),
-        pixels=pixels(scene.frames),
-        texels=size**2,
-        held_out_pixels=pixels(scene.frames[i] for i in held_out) if run.terms.photometric else 0,
-        steps=settings.schedule.steps,
-        held_out_steps=settings.held_out.schedule.steps,
-        final_steps=settings.final_pass.steps if len(held_out) and run.final_pass else 0,
+def _work(options: RecoverOptions, scene: Scene, run: FieldRun, size: int, sample_count: int) -> Work:
+    """How much a run has to do, with so many samples."""
+    settings, photos, held_out = run.settings, len(scene.frames), len(run.held_out)
+    spec, scoring = settings.model, settings.held_out.schedule
+    each = sum(grid.levels << grid.dimensions for grid in (spec.albedo, spec.irradiance))
+    scored = scoring.steps * scoring.batch + sample_count * held_out / (2 * photos)
+    final = settings.final_pass if held_out and run.final_pass else None
+    return Work(
+        pixels(scene.frames),
+        sample_count,
+        size**2,
+        lookups=each * settings.schedule.steps * settings.schedule.batch,
+        held_out_lookups=each * scored if held_out and run.terms.photometric else 0.0,
+        final_lookups=each * final.steps * final.batch if final else 0.0,
     )
-    sample = take(scene.frames, scene3d)
-    to_come = predict(measure(sample, scene3d.mesh, texture, staging, run), work)
-    begin(progress, to_come)
-    priors = any(frame.albedo for frame in scene.frames) and run.terms.prior_weight > 0.0
-    as_measured = not (priors or options.equal_bands)
-    quality = QUALITY["field"][options.preset] if as_measured else None
-    return say_expected(options, Expectation(progress.seconds | to_come, quality), priors, progress)

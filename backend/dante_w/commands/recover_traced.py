@@ -10,7 +10,6 @@ import numpy as np
 
 from dante_w.commands.plan_report import directions, light, memory, normals, samples, time
 from dante_w.commands.stages import (
-    TEXEL_TYPES,
     bake_files,
     begin,
     check_exposed,
@@ -25,7 +24,7 @@ from dante_w.commands.stages import (
 from dante_w.contract.protocol import Decision
 from dante_w.contract.scene_folder import Scene
 from dante_w.contract.vocabulary import LIGHT_TRANSPORT, component
-from dante_w.estimate.expectation import QUALITY, Expectation, Work, predict
+from dante_w.estimate.expectation import Expectation, quality
 from dante_w.estimate.memory import (
     AVERAGED,
     BOUNCE,
@@ -37,8 +36,7 @@ from dante_w.estimate.memory import (
     room,
     texture_bytes,
 )
-from dante_w.estimate.pace import Texture, measure, take
-from dante_w.estimate.traced_pace import TracedPace, TracedWork, measure_traced, predict_traced
+from dante_w.estimate.seconds import Probe, Work, measure, predict, traced_row, with_typical_light
 from dante_w.options import RecoverOptions
 from dante_w.presets import Preset
 from dante_w.rays.ray_cache import RayCache
@@ -50,7 +48,6 @@ from dante_w.texture.known_colours import known_gain
 from dante_w.traced.model_selection import Fixed, Selection, select_components
 from dante_w.traced.pipeline import Recovery, recover_albedo, trace_scene
 from dante_w.traced.settings import TracedSettings
-from dante_w.traced.shading_points import USUAL_SHADING
 from dante_w.traced.state import TracedScene
 
 #: Directions of light for a plan alone: fewer than a recovery takes.
@@ -69,7 +66,8 @@ def recover_traced(
     cache, coverage, size = seen.cache, seen.coverage, seen.coverage.width
     check_exposed(scene, cache)
     traced, selection, decisions = _plan(start, cache, settings, progress, checkpoints)
-    progress.expect(_seconds_to_come(start, cache, traced, selection))
+    work = _work(start, cache, traced, selection)
+    progress.expect(predict(work, start.row, start.probe))
     lighting = selection.lighting if settings.goes_on else None
     wanted = Recovery(size, selection.components, lighting, options.seed)
     texture, facts = recover_albedo(traced, cache, scene3d, wanted, settings, progress, checkpoints)
@@ -89,6 +87,8 @@ def recover_traced(
         held_out_photos=[scene.frames[i].image.name for i in choose_held_out(len(scene.frames))],
         texture_size=size,
         expected=start.expected,
+        work=asdict(work),
+        probe=asdict(start.probe),
         **facts,
     )
 
@@ -97,7 +97,8 @@ def plan_traced(options: RecoverOptions, preset: Preset, staging: Path, progress
     """Decide what to model and say so, without doing it. Arguments and errors as `recover.recover`."""
     settings = replace(preset.traced_settings(), directions=PLAN_DIRECTIONS)
     start = _start(options, preset, staging, progress)
-    progress.expect({stage: progress.expected[stage] for stage in ("rays", LIGHT_TRANSPORT, "plan")})
+    stages = ("rays", LIGHT_TRANSPORT, "plan")
+    progress.expect({stage: each for stage, each in progress.expected.items() if stage in stages})
     cache = look(start.scene, start.scene3d, start.size, None, staging, progress).cache
     check_exposed(start.scene, cache)
     decisions = _plan(start, cache, settings, progress)[2]
@@ -110,8 +111,8 @@ def plan_traced(options: RecoverOptions, preset: Preset, staging: Path, progress
 
 @dataclass(frozen=True)
 class _Start:
-    """A run before its rays: how large its texture is to be and why, the bytes that it held, and what it is expected to take:
-    `later` stages from `pace` and `work` and by themselves."""
+    """A run before its rays: how large its texture is to be and why, the bytes that it held, and what it is expected to take: its
+    `work`, by a `row` of the table of seconds, on the machine that was probed."""
 
     options: RecoverOptions
     preset: Preset
@@ -121,35 +122,29 @@ class _Start:
     texture: Decision
     held: int
     expected: dict[str, Any]
-    pace: TracedPace
-    work: TracedWork
-    later: dict[str, float]
+    row: str
+    work: Work
+    probe: Probe
 
 
 def _start(options: RecoverOptions, preset: Preset, staging: Path, progress: Progress) -> _Start:
     settings = preset.traced_settings()
-    scene, scene3d, size, texture = prepare(
+    scene, scene3d, size, texture, sample_count = prepare(
         options, options.priors, preset.texture_size, AVERAGED, staging, progress
     )
-    sample = take(scene.frames, scene3d)
-    all_pixels, kind = pixels(scene.frames), TEXEL_TYPES[options.format]
-    work = Work(len(scene.frames), all_pixels, size**2)
-    around = predict(measure(sample, scene3d.mesh, Texture(size, kind), staging), work)
-    suns = _fixed(options, preset).get("sun", Fixed(True)).on
-    finer = settings.shading.side // USUAL_SHADING.side
-    pace, own = measure_traced(
-        sample, len(scene.frames), all_pixels, settings.directions, size**2, suns, settings.goes_on, finer
-    )
-    later = {name: around.pop(name) for name in ("bake", "write")}
-    to_come = around | predict_traced(pace, own) | later
+    row, most_views = traced_row(preset.name), settings.shading.thinning.photos
+    work = Work(pixels(scene.frames), sample_count, size**2)
+    work = with_typical_light(work, preset.name, len(scene.frames), most_views)
+    probe = measure()
+    to_come = predict(work, row, probe)
     begin(progress, to_come)
     priors = options.prior_weight > 0.0 and any(frame.albedo for frame in scene.frames)
-    quality = None if priors else QUALITY["traced"][preset.name]
-    expectation = Expectation(progress.seconds | to_come, quality)
+    figures = None if priors else quality("traced", preset.name)
+    expectation = Expectation(progress.seconds | to_come, figures)
     if options.out is not None:
         say_expected(options, expectation, priors, progress)
     expected = expectation.as_dict()
-    return _Start(options, preset, scene, scene3d, size, texture, resident(), expected, pace, own, later)
+    return _Start(options, preset, scene, scene3d, size, texture, resident(), expected, row, work, probe)
 
 
 def _plan(
@@ -180,7 +175,8 @@ def _plan(
         )
 
     selection = checkpoints.done("plan", Selection, choose) if checkpoints else choose()
-    seconds = start.expected["seconds"] | _seconds_to_come(start, cache, traced, selection)
+    to_come = predict(_work(start, cache, traced, selection), start.row, start.probe)
+    seconds = start.expected["seconds"] | to_come
     usual = start.preset.traced_settings().directions
     decisions = [
         start.texture,
@@ -214,20 +210,15 @@ def _fixed(options: RecoverOptions, preset: Preset) -> dict[str, Fixed]:
     return by_preset | by_user
 
 
-def _seconds_to_come(
-    start: _Start, cache: RayCache, traced: TracedScene, selection: Selection
-) -> dict[str, float]:
-    """Seconds of the stages from light transport on, now that it is known what there is to do."""
-    work = replace(
+def _work(start: _Start, cache: RayCache, traced: TracedScene, selection: Selection) -> Work:
+    """The run's work, now that it is known."""
+    return replace(
         start.work,
         samples=len(cache),
         points=len(traced.points),
         observations=len(traced.observations.point),
         lights=_lights(traced, selection),
-        suns=selection.components.sun,
-        goes_on=start.work.goes_on and selection.lighting is not None,
     )
-    return predict_traced(start.pace, work) | start.later
 
 
 def _memory(start: _Start, cache: RayCache, traced: TracedScene, lights: int) -> Decision:

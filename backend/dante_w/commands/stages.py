@@ -21,9 +21,9 @@ from dante_w.contract.known_colour import KnownColour
 from dante_w.contract.protocol import Decision, Planned
 from dante_w.contract.report import COVERAGE, MESH, REPORT, albedo_file
 from dante_w.contract.scene_folder import Frame, Scene
-from dante_w.estimate.expectation import Expectation, Work, predict, since_start
+from dante_w.estimate.expectation import Expectation
 from dante_w.estimate.memory import cache_bytes, resident, room
-from dante_w.estimate.pace import Texture, measure, take
+from dante_w.estimate.seconds import Work, measure, predict, since_start
 from dante_w.options import RecoverOptions
 from dante_w.rays.cast_photos import CAST, CastSettings, cast_photos
 from dante_w.rays.footprint import glance
@@ -47,9 +47,9 @@ TEXEL_TYPES = {"png": np.uint8, "png16": np.uint16, "exr": np.float16}
 
 def prepare(
     options: RecoverOptions, priors: Path | None, most: int, texel: int, staging: Path, progress: Progress
-) -> tuple[Scene, Scene3D, int, Decision]:
-    """The scene, its mesh with UVs ready for rays, the texels along a side of the texture, at `most` so many unless the user wants more, and
-    why so many. `texel`: bytes that one takes while the texture is made."""
+) -> tuple[Scene, Scene3D, int, Decision, int]:
+    """The scene, its mesh with UVs ready for rays, the texels along a side of the texture, at `most` so many unless the user wants more,
+    why so many, and about how many pixels see the mesh. `texel`: bytes that one takes while the texture is made."""
     scene, mesh = load_scene(options.scene, options.mesh, options.images, priors)
     name = options.mesh or scene.mesh or scene.source
     if options.out is not None:
@@ -70,7 +70,7 @@ def prepare(
         check_uvs(mesh.uvs, name)
         assert mesh.uvs is not None
         scene3d = scene3d.with_uvs(mesh.uvs)
-    return scene, scene3d, size, decision
+    return scene, scene3d, size, decision, samples
 
 
 def files_read(scene: Scene, mesh: Path) -> list[Path]:
@@ -90,14 +90,11 @@ def say_plan(options: RecoverOptions, decisions: list[Decision], progress: Progr
         print(f"{line.what}: {line.choice} ({line.reason}; {line.costs})", file=out, flush=True)
 
 
-def expect_no_fit(
-    options: RecoverOptions, scene: Scene, scene3d: Scene3D, size: int, staging: Path, progress: Progress
-) -> None:
-    """Begin a run whose texture needs no fit, with what its stages will take."""
-    work = Work(len(scene.frames), pixels(scene.frames), size**2)
-    texture = Texture(size, TEXEL_TYPES[options.format])
-    sample = take(scene.frames, scene3d)
-    begin(progress, predict(measure(sample, scene3d.mesh, texture, staging), work))
+def expect_average(scene: Scene, size: int, samples: int, progress: Progress) -> dict[str, Any]:
+    """Begin a run that averages photos, with what its stages will take; returns facts for the report."""
+    work, probe = Work(pixels(scene.frames), samples, size**2), measure()
+    begin(progress, predict(work, "average", probe))
+    return {"work": dataclasses.asdict(work), "probe": dataclasses.asdict(probe)}
 
 
 def begin(progress: Progress, to_come: dict[str, float]) -> None:
