@@ -18,8 +18,8 @@ from dante_w.traced.state import Lighting
 DIRECTIONS, POINTS, PHOTOS, LIGHTS = 64, 1500, 18, 3
 SIDE = USUAL_SHADING.side
 SETTINGS = SolverSettings()
-#: What the solver takes the brightest albedo to be, and which quantile that is.
-TOP, BRIGHTEST = SETTINGS.albedo_scale.brightest, SETTINGS.albedo_scale.quantile
+#: Where nothing tells the scale of albedo, the method takes this quantile of the points' largest channel for `TOP`.
+TOP, BRIGHTEST = 0.5, 0.98
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,10 +43,12 @@ def make_world(
     matte: bool = False,
     top: float = TOP,
     materials: int = POINTS,
+    bounced: float = 0.0,
 ) -> World:
-    """Open points of all orientations under up to three smooth lights; nothing hides or lights anything else. Log
-    exposures have a standard deviation of `exposures`, the brightest albedo is `top`; `matte` points have no specular reflection;
-    points are of as many `materials`, in slabs, or each of its own."""
+    """Open points of all orientations under up to three smooth lights; nothing hides anything else. Log exposures have a
+    standard deviation of `exposures`, the brightest albedo is `top`; `matte` points have no specular reflection; points are of
+    as many `materials`, in slabs, or each of its own. Each point is also lit by three others, as if these filled the share
+    `bounced` of what it faces."""
     cluster = np.arange(PHOTOS) % lights
     random = np.random.default_rng(6)
     normals = unit(random.normal(size=(POINTS, 3))).astype(np.float32)
@@ -55,13 +57,14 @@ def make_world(
     cosine = normals @ directions.T
     visible = (cosine > 0.0).astype(np.float32)
     direct = (4.0 / DIRECTIONS * np.maximum(cosine, 0.0)).astype(np.float32)
+    sources = np.random.default_rng(7).integers(0, POINTS, (POINTS, 3 if bounced else 0))
     transport = LightTransport(
         directions,
         visible,
         direct,
-        np.zeros(POINTS + 1, np.int64),
-        np.zeros(0, np.int64),
-        np.zeros(0, np.float32),
+        np.arange(POINTS + 1) * sources.shape[1],
+        sources.ravel(),
+        np.full(sources.size, bounced / 3.0, np.float32),
         np.zeros(POINTS, np.float32),
     )
     axes = unit(np.array([(1.0, 0.2, 0.5), (-0.6, 0.8, 0.4), (-0.3, -0.9, 0.6)]))
@@ -78,7 +81,10 @@ def make_world(
     photo, point = np.nonzero(np.einsum("kd,cd->kc", unit(cameras - 0.5), normals) > 0.05)
     towards = unit(cameras[photo] - position[point]).astype(np.float32)
     light = cluster[photo]
-    diffuse = albedo[point] * np.tensordot(direct, radiance, axes=(1, 1))[point, light]
+    irradiance = sky = np.tensordot(direct, radiance, axes=(1, 1))
+    for _ in range(30 if bounced else 0):  # until light has bounced away
+        irradiance = sky + bounced * (albedo[:, None] * irradiance)[sources].mean(axis=1)
+    diffuse = albedo[point] * irradiance[point, light]
     specular = specular_radiance(point, light, towards, normals, transport, radiance)
     colour = np.exp(exposure)[photo, None] * (diffuse + (0.0 if matte else specular))
     colour *= np.exp(random.normal(0.0, 0.03, colour.shape))

@@ -7,12 +7,14 @@ import pytest
 import torch
 from dante_w.core.color import srgb_from_linear_array
 from dante_w.rays.ray_cache import RayCache, Surface
-from dante_w.traced.albedo_prior import USUAL_PRIORS, fuse_priors
+from dante_w.traced.albedo_prior import fuse_priors
 from dante_w.traced.shading_points import USUAL_SHADING, ShadingPoints, gather
 
-TRUST, ENOUGH_VIEWS, SIDE = USUAL_PRIORS.weight, USUAL_PRIORS.enough_views, USUAL_SHADING.side
+SIDE = USUAL_SHADING.side
 
 VIEWS, CELLS = 6, 24  # cells along either side of the part of the texture that is seen
+#: What a point's priors weigh beside photos that see it, and the views from which on they weigh as much: as documented.
+TRUST, ENOUGH_VIEWS = 0.05, 4
 GAINS = np.exp(np.random.default_rng(1).normal(0.0, 0.3, (VIEWS, 3)))
 
 

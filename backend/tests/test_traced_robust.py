@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from dante_w.rays.depth_edges import EDGES, edge_distances
 from dante_w.traced.pixel_weights import (
-    USUAL,
     PixelWeightSettings,
     clipped_weight,
     consensus,
@@ -16,24 +15,27 @@ from dante_w.traced.pixel_weights import (
     medians,
 )
 
+#: The numbers that the weights are documented with, written down here again so that none is held against itself.
+CLIPPED, HOPELESS, NOISY, NEAR_EDGE = 0.995, 1e-3, 0.01, 2
+OUTLYING, BRIGHTER, AGREED, LEAST, FEWEST = 2.0, 2.0, 0.12, 0.25, 4
 RANDOM = np.random.default_rng(4)
 
 
 def test_clipped_pixels_count_only_where_nothing_else_tells():
-    srgb = np.array([(0.5, 0.5, 0.5), (0.2, USUAL.clipped_from, 0.2), (1.0, 1.0, 1.0)])
+    srgb = np.array([(0.5, 0.5, 0.5), (0.2, CLIPPED, 0.2), (1.0, 1.0, 1.0)])
     assert clipped_weight(srgb, np.ones(3, bool)).tolist() == [1.0, 0.0, 0.0]
-    assert clipped_weight(srgb, np.zeros(3, bool)).tolist() == [1.0, USUAL.clipped_alone, USUAL.clipped_alone]
+    assert clipped_weight(srgb, np.zeros(3, bool)).tolist() == [1.0, HOPELESS, HOPELESS]
 
 
 def test_dark_is_signal_over_signal_and_noise():
-    np.testing.assert_allclose(dark_weight(np.array([0.0, USUAL.noise, 3.0 * USUAL.noise])), [0.0, 0.5, 0.9])
+    np.testing.assert_allclose(dark_weight(np.array([0.0, NOISY, 3.0 * NOISY])), [0.0, 0.5, 0.9])
     assert dark_weight(np.array([-0.1]))[0] == 0.0 and dark_weight(np.array([1.0]))[0] > 0.999
 
 
 def test_pixels_away_from_edges_count_fully_and_none_is_lost():
     weight = edge_weight(np.arange(EDGES.reach + 1, dtype=np.uint8))
-    assert weight[0] > 0.0 and (np.diff(weight[: USUAL.near_edge + 1]) > 0.0).all()
-    np.testing.assert_array_equal(weight[USUAL.near_edge :], 1.0)
+    assert weight[0] > 0.0 and (np.diff(weight[: NEAR_EDGE + 1]) > 0.0).all()
+    np.testing.assert_array_equal(weight[NEAR_EDGE:], 1.0)
 
 
 def test_edges_are_where_depth_jumps_and_not_at_the_photos_border():
@@ -89,15 +91,15 @@ def test_who_agrees_is_trusted_and_who_does_not_is_out():
 
 
 def test_doubt_grows_with_distance_and_faster_above():
-    off = 0.8 * USUAL.outlier * USUAL.agreement / USUAL.brighter
+    off = 0.8 * OUTLYING * AGREED / BRIGHTER
     above, below = one_point([0.0] * 9 + [off])[-1], one_point([0.0] * 9 + [-off])[-1]
     assert above == pytest.approx((1.0 + 0.8**2) ** -2)
-    assert below == pytest.approx((1.0 + (0.8 / USUAL.brighter) ** 2) ** -2)
-    assert USUAL.least < above < below < 1.0
+    assert below == pytest.approx((1.0 + (0.8 / BRIGHTER) ** 2) ** -2)
+    assert LEAST < above < below < 1.0
 
 
 def test_where_photos_differ_anyhow_and_in_noise_more_is_forgiven():
-    off = -2.0 * USUAL.outlier * USUAL.agreement
+    off = -2.0 * OUTLYING * AGREED
     assert one_point([0.0] * 9 + [off])[-1] == 0.0
     assert one_point([-0.4, 0.4, -0.3, 0.3, 0.0, 0.35, -0.35, off])[-1] > 0.0
     noisy = np.zeros(10)
@@ -108,7 +110,7 @@ def test_where_photos_differ_anyhow_and_in_noise_more_is_forgiven():
 
 
 def test_few_photos_make_no_consensus():
-    assert one_point([0.0, 0.0, 5.0][: USUAL.fewest_photos - 1]).tolist() == [1.0] * (USUAL.fewest_photos - 1)
+    assert one_point([0.0, 0.0, 5.0][: FEWEST - 1]).tolist() == [1.0] * (FEWEST - 1)
 
 
 def test_photos_of_one_light_do_not_outvote_the_others():

@@ -15,7 +15,7 @@ from dante_w.traced.solver.settings import SolverSettings
 from dante_w.traced.solver.solve_lights import solve_lights
 from dante_w.traced.specular import specular_radiance
 from dante_w.traced.state import Components, Lighting
-from dante_w.traced.sun import SunSettings, find_and_add_suns, peaks
+from dante_w.traced.sun import SunSettings, _bounded, find_and_add_suns, peaks
 
 SIDE, PHOTOS = 40, 4
 SUN = np.array([0.55, 0.2, 0.81]) / np.linalg.norm([0.55, 0.2, 0.81])
@@ -99,6 +99,26 @@ def test_without_a_sun_or_without_shadows_there_is_none(strength, posts):
     lights = world.solved()
     transport, same = world.with_suns(lights)
     assert transport is world.transport and same is lights
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_peak_loses_no_more_than_all_and_a_sun_is_not_negative(seed):
+    """The changes of peak and sun against all on a fine grid that are allowed."""
+    random = np.random.default_rng(seed)
+    slopes, wanted = random.normal(size=(3, 2)), random.uniform(-3.0, 3.0, 2)
+    if seed % 5 == 0:
+        slopes[:, 1] = slopes[:, 0]  # peak and sun are the same to these points: then there is no sun
+    matrix = slopes.T @ slopes
+    right = matrix @ wanted
+    peak, sun = np.meshgrid(np.linspace(-1.0, 5.0, 601), np.linspace(0.0, 5.0, 501))
+
+    def cost(peak, sun):
+        quadratic = matrix[0, 0] * peak**2 + 2.0 * matrix[0, 1] * peak * sun + matrix[1, 1] * sun**2
+        return quadratic - 2.0 * (right[0] * peak + right[1] * sun)
+
+    found = _bounded(matrix, right)
+    assert found[0] >= -1.0 and found[1] >= 0.0
+    assert cost(*found) <= cost(peak, sun).min() + 1e-6
 
 
 def test_a_sun_is_seen_but_where_the_mesh_is_in_its_way():
