@@ -156,8 +156,8 @@ def test_rays_and_colours_do_not_know_place_size_or_brightness(scale, offset, po
     ours, theirs = cached(world), cached(changed)
     # a pixel on the rim may meet the mesh in one and miss it in the other
     assert abs(len(ours) - len(theirs)) <= 0.002 * len(ours)
-    assert ours.level is not None and theirs.level is not None
-    np.testing.assert_allclose(theirs.level - ours.level, -power * np.log(10.0), atol=2e-3)
+    assert ours.log_gain is not None and theirs.log_gain is not None
+    np.testing.assert_allclose(theirs.log_gain - ours.log_gain, -power * np.log(10.0), atol=2e-3)
     middle = slice(ours.starts[0], ours.starts[1])
     if np.array_equal(ours.starts, theirs.starts):
         # at 1e7 sides float64 knows a place to 2e-9
