@@ -35,7 +35,6 @@ COMPILERS = ("jit", "njit", "njit_fast", "njit_inlined", "njit_parallel", "njit_
 CIRCLES: frozenset[str] = frozenset()
 LONG_FILES = frozenset(
     str.split("""
-    backend/tests/test_recover.py
     backend/tests/test_scene_folder.py
     benchmarks/extremes/broken_files.py
     benchmarks/extremes/fuzz.py

@@ -15,9 +15,9 @@ import numpy as np
 import psutil
 import pytest
 import torch
-from conftest import make_scene
 from dante_w.run import distributed
 from dante_w.scene.images import read_photo
+from square_scene import make_scene
 
 OPTIONS = ["--irradiance", "field", "--preset", "draft", "--texture-size", "64", "--json"]
 #: Runs the command; the process of this number fails in the way that the first argument says, once it has met the others.

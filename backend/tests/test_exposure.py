@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
-from conftest import CAMERA
 from dante_w.contract.scene_folder import Frame
 from dante_w.scene.exposure import relative_log_exposures
 from dante_w.scene.images import read_header
+from square_scene import CAMERA
 
 NAMES = ("ExposureTime", "FNumber", "Exif:PhotographicSensitivity")
 

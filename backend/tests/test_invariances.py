@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import CAMERA, cast, photograph, pose
+from conftest import cast
 from dante_w.commands.cli import main
 from dante_w.contract.scene_folder import Frame, Scene, write_scene
 from dante_w.core.color import linear_from_srgb_array, srgb_from_linear_array
@@ -25,6 +25,7 @@ from dante_w.scene.mesh import Mesh, write_obj
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_settings import small_preset
+from square_scene import CAMERA, photograph, pose
 
 SIZE, PHOTOS = 48, 6
 #: PSNR in dB that is promised, by what is changed and by model.

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import CAMERA, SQUARE, cast, make_scene, pose
+from conftest import cast
 from dante_w.commands import recover_traced, stages
 from dante_w.commands.cli import main
 from dante_w.commands.plan_report import LEAST_SIDE, texture_side
@@ -24,6 +24,7 @@ from dante_w.rays.scene3d import Scene3D
 from dante_w.scene.load import load_scene
 from dante_w.scene.mesh import read_mesh
 from small_settings import TRACED
+from square_scene import CAMERA, SQUARE, make_scene, pose
 
 SMALL = dataclasses.replace(PRESETS["standard"], traced=TRACED)
 MOST = 4096

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from conftest import CAMERA, cast, make_scene, pose
+from conftest import cast
 from dante_w.commands.cli import main
 from dante_w.contract.errors import BadInput
 from dante_w.contract.scene_folder import Frame
@@ -16,6 +16,7 @@ from dante_w.rays.cast_photos import CastSettings
 from dante_w.rays.ray_cache import RayCache, sample_bytes
 from dante_w.rays.raycast import Frame3D, Raycaster, RaycastSettings
 from dante_w.scene.load import load_scene
+from square_scene import CAMERA, make_scene, pose
 
 CPU = torch.device("cpu")
 

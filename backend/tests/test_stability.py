@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from conftest import CAMERA, albedo_at, cast, make_scene
+from conftest import cast
 from dante_w.commands.cli import main
 from dante_w.contract.errors import BadInput
 from dante_w.contract.scene_folder import read_scene
@@ -32,6 +32,7 @@ from dante_w.scene.images import read_photo, read_texture, write_exr
 from dante_w.scene.mesh import Mesh
 from dante_w.traced.shading_points import ShadingPoints, gather
 from small_settings import TRACED
+from square_scene import CAMERA, albedo_at, make_scene
 
 SPEC = FieldSpec(GridSpec(2, 4, 2, 4, 32, 10), GridSpec(3, 2, 2, 2, 4, 8), hidden=16, embedding=2)
 FIELD = FieldSettings(SPEC, Schedule(100, 1024, 1e-2), Schedule(20, 1024, 2e-3))

@@ -13,9 +13,10 @@ from dante_w.traced.shading_points import ShadingPoints
 from dante_w.traced.solver.evidence import gather_evidence
 from dante_w.traced.solver.settings import SolverSettings
 from dante_w.traced.solver.solve_lights import solve_lights
+from dante_w.traced.solver.variable_projection import project_albedo
 from dante_w.traced.specular import specular_radiance
 from dante_w.traced.state import Components, Lighting
-from dante_w.traced.sun import SunSettings, _bounded, find_and_add_suns, peaks
+from dante_w.traced.sun import USUAL_SUN, SunSettings, _bounded, find_and_add_suns, peaks
 
 SIDE, PHOTOS = 40, 4
 SUN = np.array([0.55, 0.2, 0.81]) / np.linalg.norm([0.55, 0.2, 0.81])
@@ -72,10 +73,10 @@ class World:
         one = np.zeros(PHOTOS, np.int64)
         return solve_lights(self.evidence, self.transport, one, SETTINGS, 0, lambda *_: None)
 
-    def with_suns(self, lights: Lighting) -> tuple[LightTransport, Lighting]:
-        return find_and_add_suns(
-            self.evidence, self.transport, lights, self.caster, 0, SETTINGS, SunSettings()
-        )
+    def with_suns(
+        self, lights: Lighting, settings: SunSettings = USUAL_SUN
+    ) -> tuple[LightTransport, Lighting]:
+        return find_and_add_suns(self.evidence, self.transport, lights, self.caster, 0, SETTINGS, settings)
 
     def error(self, lights: Lighting) -> float:
         """Standard deviation of the error of log albedo: scale and white balance are open."""
@@ -99,6 +100,21 @@ def test_without_a_sun_or_without_shadows_there_is_none(strength, posts):
     lights = world.solved()
     transport, same = world.with_suns(lights)
     assert transport is world.transport and same is lights
+
+
+def test_the_light_that_a_sun_replaces_keeps_a_twentieth():
+    """All of the sun's light lies in one part of the sphere, whose shadows are blurred: all that can be is taken from it."""
+    world = World(6.0)
+    radiance = np.full((1, 256, 3), 0.01, np.float32)
+    cosine = world.transport.directions @ SUN
+    radiance[0, cosine.argmax()] = 6.0 / world.transport.share
+    lights = dataclasses.replace(world.solved(), radiance=radiance)
+    irradiance, matte = lights.irradiance(world.transport), np.zeros_like(world.evidence.weight)
+    log_albedo, _ = project_albedo(lights, irradiance, matte, world.evidence, SETTINGS.projection)
+    lights = dataclasses.replace(lights, albedo=np.exp(log_albedo))
+    found = world.with_suns(lights, SunSettings(steps=0))[1].radiance[0, :256]
+    near, far = np.sort(cosine)[-2], cosine.argmin()  # beside the brightest, and away from it
+    np.testing.assert_allclose(found[cosine == near][0] / found[far], 0.05, rtol=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(20))
