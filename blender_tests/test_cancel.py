@@ -54,6 +54,9 @@ def test_opening_another_file_stops_the_backend(addon, standin, scene, tmp_path,
         pids.append(child_of_stubborn(tmp_path))
     assert all(map(alive, pids))
     bpy.ops.wm.read_homefile(use_empty=True)
+    deadline = time.monotonic() + 5.0  # a killed process takes a moment to go where others are at work
+    while any(map(alive, pids)) and time.monotonic() < deadline:
+        time.sleep(0.02)
     assert not any(map(alive, pids))
     assert job.recovery is None
 
