@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import bpy
 import pytest
@@ -95,6 +96,15 @@ def test_what_to_model_reaches_the_backend(blend, tmp_path):
 def test_a_missing_blend_is_bad_input(tmp_path):
     done = run(tmp_path / "none.blend", tmp_path / "out")
     assert done.returncode == 2 and "none.blend" in done.stderr
+
+
+def test_the_scene_itself_is_never_replaced(blend):
+    """`--out` names the folder of the .blend that is open."""
+    file = Path(blend)
+    before = file.read_bytes()
+    done = run(blend, file.parent)
+    assert done.returncode == 2 and "--out" in done.stderr and "scene itself" in done.stderr
+    assert file.read_bytes() == before and not (file.parent / "report.json").exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -50,6 +50,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.blend is not None:
         _open(options.blend)
     out = options.out.resolve()
+    textured = _textured_file(out)
     lights = _lights(options.relight)
     obj = _mesh_object(options.object)
     request = make_request(options, obj, out)
@@ -67,13 +68,21 @@ def _run(options: argparse.Namespace) -> int:
     if progress.state != "done":
         return _fail(options, progress.code, progress.message)
     target = recovery.put_on(obj, out, options.pack)
-    name = file_name(Path(bpy.data.filepath).stem or "scene")
-    bpy.ops.wm.save_as_mainfile(filepath=str(out / f"{name}.blend"), copy=True, compress=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(textured), copy=True, compress=True)
     if lights:
         _relight(lights, options, out / "relight.png")
     message = Done(progress.report, str(out), target.name)
     print(encode(message) if options.json else f"Done: {out}", flush=True)
     return DONE
+
+
+def _textured_file(out: Path) -> Path:
+    """Where the scene is saved with its texture: never over the scene itself."""
+    opened = bpy.data.filepath
+    target = out / f"{file_name(Path(opened).stem or 'scene')}.blend"
+    if opened and target.exists() and target.samefile(opened):
+        raise BadInput(f"{target}: this is the scene itself; choose another folder as --out.")
+    return target
 
 
 def _open(path: Path) -> None:
