@@ -16,6 +16,7 @@ import torch
 from dante_w.run import checkpoints
 from dante_w.run.checkpoints import Checkpoints, open_checkpoints
 from dante_w.scene.load import load_scene
+from small_settings import small_preset
 
 #: The command, small, which keeps everything; with KILL "STAGE STEP" it strikes itself there by kill -9.
 COMMAND = """
@@ -140,18 +141,19 @@ def test_damaged_checkpoints_are_as_good_as_none(tmp_path, monkeypatch, spoil):
 def test_checkpoints_belong_to_their_inputs(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoints, "SECONDS", 0.0)
     options = SimpleNamespace(out=tmp_path, resume=True, seed=0, format="png")
-    loaded = load_scene(scene)
-    open_checkpoints(options, *loaded).save("a", outer())
+    loaded, settings = load_scene(scene), [small_preset(64)]
+    open_checkpoints(options, settings[0], *loaded).save("a", outer())
     options.format = "exr"  # no reason to begin again
-    assert open_checkpoints(options, *loaded).load("a", Outer) is not None
+    assert open_checkpoints(options, settings[0], *loaded).load("a", Outer) is not None
     photo = scene / "0.png"
     stamp = photo.stat()
     for change in (
         lambda: setattr(options, "seed", 1),
+        lambda: settings.insert(0, small_preset(64, steps=299)),
         lambda: os.utime(photo, ns=(stamp.st_atime_ns, stamp.st_mtime_ns + 1)),
         lambda: setattr(options, "resume", False),
     ):
-        open_checkpoints(options, *loaded).save("a", outer())
+        open_checkpoints(options, settings[0], *loaded).save("a", outer())
         change()
-        assert open_checkpoints(options, *loaded).load("a", Outer) is None
+        assert open_checkpoints(options, settings[0], *loaded).load("a", Outer) is None
         assert not (tmp_path / ".resume").exists()

@@ -76,7 +76,7 @@ def recover_field(
     figures = None if use_prior or options.equal_bands else quality("field", chosen.name)
     expected = say_expected(options, Expectation(progress.seconds | to_come, figures), use_prior, progress)
     held = resident()
-    kept = open_checkpoints(options, scene, scene3d.mesh)
+    kept = open_checkpoints(options, chosen, scene, scene3d.mesh)
     seen = look(scene, scene3d, size, kept, staging, progress, chosen.cast)
     cache, coverage, size = seen.cache, seen.coverage, seen.coverage.width
     if terms.photometric:

@@ -61,7 +61,7 @@ def recover_traced(
     settings = preset.traced_settings()
     start = _start(options, preset, staging, progress)
     scene, scene3d = start.scene, start.scene3d
-    checkpoints = open_checkpoints(options, scene, scene3d.mesh)
+    checkpoints = open_checkpoints(options, preset, scene, scene3d.mesh)
     seen = look(scene, scene3d, start.size, checkpoints, staging, progress, preset.cast)
     cache, coverage, size = seen.cache, seen.coverage, seen.coverage.width
     check_exposed(scene, cache)

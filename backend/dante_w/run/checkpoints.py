@@ -112,18 +112,19 @@ class Checkpoints:
             remove(partial)
 
 
-def open_checkpoints(options: RecoverOptions, scene: Scene, mesh: Mesh) -> Checkpoints:
-    """The checkpoints of a run with these options, from these files; none yet unless it resumes one just like it."""
+def open_checkpoints(options: RecoverOptions, settings: object, scene: Scene, mesh: Mesh) -> Checkpoints:
+    """The checkpoints of a run with these options and settings (frozen dataclasses), from these files; none yet unless it resumes one
+    just like it."""
     assert options.out is not None  # a plan alone keeps nothing
-    folder, key = options.out / CHECKPOINTS, _key(options, scene, mesh)
+    folder, key = options.out / CHECKPOINTS, _key(options, settings, scene, mesh)
     if not options.resume or owner(folder) != key:
         remove_checkpoints(options.out)
     return Checkpoints(folder, key)
 
 
-def _key(options: RecoverOptions, scene: Scene, mesh: Mesh) -> str:
-    """A hash of the version, the options, the poses, the mesh, and the photos' paths, sizes and times."""
-    settings = {name: str(value) for name, value in sorted(vars(options).items()) if name not in _NO_INPUT}
+def _key(options: RecoverOptions, settings: object, scene: Scene, mesh: Mesh) -> str:
+    """A hash of the version, the options, the settings, the poses, the mesh, and the photos' paths, sizes and times."""
+    chosen = {name: str(value) for name, value in sorted(vars(options).items()) if name not in _NO_INPUT}
     files: Iterable[Path | None] = (
         file for frame in scene.frames for file in (frame.image, frame.mask, frame.albedo)
     )
@@ -133,7 +134,7 @@ def _key(options: RecoverOptions, scene: Scene, mesh: Mesh) -> str:
         for file in files
         if file is not None and file.is_file()
     ]
-    told = hashlib.sha256(json.dumps([__version__, settings, poses, stamps]).encode())
+    told = hashlib.sha256(json.dumps([__version__, chosen, repr(settings), poses, stamps]).encode())
     for array in (mesh.vertices, mesh.faces, mesh.uvs, mesh.normals):
         told.update(np.ascontiguousarray(() if array is None else array).data)
     return told.hexdigest()

@@ -8,7 +8,7 @@ import numpy as np
 from numba import prange
 
 from dante_w.core.jit import njit_parallel
-from dante_w.rays.ray_cache import RayCache, Surface, on_surface
+from dante_w.rays.ray_cache import BARY_STEPS, RayCache, Surface, on_surface
 
 
 def locate_samples(cache: RayCache, part: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -43,7 +43,7 @@ def _shading_normals(
     camera: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    unit = np.float32(1.0 / 65535.0)
+    unit = np.float32(1.0 / BARY_STEPS)
     for i in prange(len(face)):
         a, b, c = positions[face[i]].astype(np.float64)
         b, c = b - a, c - a
